@@ -21,8 +21,11 @@ JOINTS = ("quadrotor/x", "quadrotor/y", "quadrotor/z")
 ACTUATORS = ("quadrotor/ax", "quadrotor/ay", "quadrotor/az")
 
 OBSTACLE_RGBA = np.array(
-    [[0.55, 0.62, 0.70, 1.0], [0.62, 0.60, 0.56, 1.0], [0.48, 0.55, 0.60, 1.0]]
+    [[0.60, 0.67, 0.76, 1.0], [0.70, 0.68, 0.64, 1.0], [0.52, 0.60, 0.66, 1.0]]
 )
+# Bright on the grey-blue world and apart for the colour-blind (Okabe and Ito).
+ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
+DEPOT_RGBA = (0.10, 0.45, 0.85, 1.0)
 
 
 def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjcf.RootElement:
@@ -54,6 +57,7 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
             size=(box[1] - box[0]) / 2,
             contype=0,
             conaffinity=1,
+            material="obstacle",
             rgba=OBSTACLE_RGBA[index % len(OBSTACLE_RGBA)],
         )
     for index, item in enumerate(scene.items):
@@ -62,15 +66,17 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
             name=f"item_{index}",
             pos=item,
             size=(scene.epsilon,),
-            rgba=(1.0, 0.75, 0.1, 0.9),
+            material="glow",
+            rgba=ITEM_RGBA,
         )
     root.worldbody.add(
         "site",
         name="depot",
         type="cylinder",
         pos=scene.depot,
-        size=(scene.return_tolerance, 0.5),
-        rgba=(0.2, 0.85, 0.35, 0.9),
+        size=(scene.return_tolerance, 0.3),
+        material="glow",
+        rgba=DEPOT_RGBA,
     )
     _add_quadrotor(root, scene, visual_scale)
     return root
@@ -89,6 +95,10 @@ def _add_quadrotor(root: mjcf.RootElement, scene: Scene, visual_scale: float) ->
         for geom in quadrotor.find_all("geom"):
             if geom.name != "body":
                 _scale(geom, visual_scale)
+        visual = quadrotor.find("default", "visual")
+        for default in visual.all_children():
+            if default.tag == "default":
+                _scale(default.geom, visual_scale)
     physics = mjcf.Physics.from_mjcf_model(quadrotor)
     mass = float(physics.bind(quadrotor.find("body", "uav")).subtreemass)
     physics.free()
@@ -120,7 +130,7 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
     centre = (low + high) / 2
     root.statistic.extent = extent
     root.statistic.center = centre
-    root.visual.map.znear = 0.0005
+    root.visual.map.znear = 0.0002
     root.visual.map.zfar = 6.0
     root.visual.quality.offsamples = 0
     root.visual.quality.shadowsize = 0
@@ -131,17 +141,29 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
     root.visual.headlight.specular = (0.0, 0.0, 0.0)
     root.asset.add(
         "texture", name="sky", type="skybox", builtin="gradient", width=256, height=256,
-        rgb1=(0.62, 0.76, 0.90), rgb2=(0.93, 0.96, 0.99),
+        rgb1=(0.55, 0.71, 0.88), rgb2=(0.90, 0.94, 0.98),
+    )  # fmt: skip
+    # Cells of 50 m on the ground and of 20 m on the boxes show speed and size.
+    root.asset.add(
+        "texture", name="ground", type="2d", builtin="checker", width=512, height=512,
+        rgb1=(0.42, 0.47, 0.44), rgb2=(0.45, 0.50, 0.47), mark="edge", markrgb=(0.56, 0.61, 0.58),
     )  # fmt: skip
     root.asset.add(
-        "texture", name="ground", type="2d", builtin="checker", width=256, height=256,
-        rgb1=(0.40, 0.46, 0.40), rgb2=(0.44, 0.50, 0.44),
+        "material", name="ground", texture="ground", texuniform=True, texrepeat=(0.01, 0.01),
+        specular=0,
     )  # fmt: skip
-    root.asset.add("material", name="ground", texture="ground", texrepeat=(10, 10), specular=0)
+    root.asset.add(
+        "texture", name="obstacle", type="2d", builtin="checker", width=256, height=256,
+        rgb1=(0.90, 0.90, 0.90), rgb2=(1.0, 1.0, 1.0), mark="edge", markrgb=(0.72, 0.74, 0.76),
+    )  # fmt: skip
+    root.asset.add(
+        "material", name="obstacle", texture="obstacle", texuniform=True, texrepeat=(0.025, 0.025),
+        specular=0,
+    )  # fmt: skip
+    root.asset.add("material", name="glow", emission=0.5, specular=0.2)
     root.worldbody.add(
         "geom", name="ground", type="plane", pos=(centre[0], centre[1], low[2]),
-        size=((high[0] - low[0]) / 2, (high[1] - low[1]) / 2, 1.0), material="ground",
-        contype=0, conaffinity=0,
+        size=(extent, extent, 1.0), material="ground", contype=0, conaffinity=0,
     )  # fmt: skip
     root.worldbody.add(
         "light", name="sun", directional=True, castshadow=False, pos=(centre[0], centre[1], high[2]),

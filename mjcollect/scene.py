@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from mjcollect import asset_path
 from mjcollect.geometry import Array, point_box_distance
+from mjcollect.scene_file import SceneError, parse, read_text
 
 MAX_EXTENT = 1e5  # metres; beyond this, 1e-6 m is no longer resolved along a mission
+MAX_SUBSTEPS = 1000
+LIMIT_RANGE = (1e-6, 1e6)  # SI; outside, squares and sums lose their digits
 POSITIVE_LIMITS = (
     "v_max",
     "a_max",
@@ -27,42 +32,7 @@ POSITIVE_LIMITS = (
     "uav_radius",
     "physics_step",
 )
-
-Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-
-
-class SceneError(ValueError):
-    """A scene was refused. The message names the field, the value and the fix."""
-
-    def __init__(self, field: str, value: object, fix: str) -> None:
-        """Keep the three parts as attributes and join them into one message."""
-        self.field, self.value, self.fix = field, value, fix
-        super().__init__(f"{field}: {_short(value)}: {fix}")
-
-
-class _Box(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
-    min: Point
-    max: Point
-
-
-class _SceneFile(BaseModel):
-    """The JSON document, key for key; every further rule is in `Scene._check`."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-    name: Annotated[str, Field(min_length=1, max_length=100)]
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
-    bounds: _Box
-    depot: Point
-    items: list[Point]
-    obstacles: list[_Box]
-    v_max: FiniteFloat
-    a_max: FiniteFloat
-    epsilon: FiniteFloat
-    slot: FiniteFloat
-    return_tolerance: FiniteFloat
-    uav_radius: FiniteFloat = 0.5
-    physics_step: FiniteFloat = 0.02
+_SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +40,7 @@ class Scene:
     """One collection problem. Lengths in metres, times in seconds; arrays are read-only.
 
     Attributes:
-        name: label, used for run folders.
+        name: label; `slug` is what run folders are called by.
         seed: seed that made the scene (0 if made by hand).
         bounds: (2, 3), minimum and maximum corner; inclusive for the body's centre.
         depot: (3,), start and end of the mission.
@@ -104,16 +74,12 @@ class Scene:
         Raises:
             SceneError: naming field, value and fix.
         """
-        shapes = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3)}
-        for field, shape in shapes.items():
-            try:
-                array = np.array(getattr(self, field), dtype=np.float64).reshape(shape)
-            except (TypeError, ValueError):
-                raise SceneError(
-                    field, getattr(self, field), f"needs numbers of shape {shape}"
-                ) from None
+        for field, shape in _SHAPES.items():
+            array = _array(field, getattr(self, field), shape)
             array.setflags(write=False)
             object.__setattr__(self, field, array)
+        for limit in POSITIVE_LIMITS:
+            object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
         self._check()
 
     # Derived
@@ -122,6 +88,11 @@ class Scene:
     def substeps(self) -> int:
         """Physics steps in a slot (n)."""
         return round(self.slot / self.physics_step)
+
+    @property
+    def slug(self) -> str:
+        """The name as a file name: everything but letters, digits and . _ - becomes _."""
+        return re.sub(r"[^A-Za-z0-9._-]|^[.-]", "_", self.name)
 
     def point(self, node: int) -> Array:
         """Position (3,) of item `node`, or of the depot for -1."""
@@ -140,55 +111,18 @@ class Scene:
         Raises:
             SceneError: the file is unreadable, is not a scene, or the scene is refused.
         """
-        path = Path(path)
-        if path.is_dir():
-            raise SceneError("scene file", str(path), "is a folder; name the JSON file in it")
-        try:
-            text = path.read_text(encoding="utf-8")
-        except FileNotFoundError:
-            raise SceneError(
-                "scene file",
-                str(path),
-                "does not exist; check the path, or make one with python -m mjcollect.generate",
-            ) from None
-        except UnicodeDecodeError:
-            raise SceneError(
-                "scene file", str(path), "is not UTF-8 text; save it as such"
-            ) from None
-        except OSError as error:
-            raise SceneError(
-                "scene file", str(path), f"cannot be read: {error.strerror}; check it"
-            ) from None
-        return cls.from_json(text)
+        return cls.from_json(read_text(path))
+
+    @classmethod
+    def find(cls, name: str | os.PathLike[str]) -> Scene:
+        """Scene of a file, or a bundled scene by name such as `scenario_1`; see `load`."""
+        bundled = asset_path("scenes", f"{name}.json")
+        return cls.load(bundled if not Path(name).exists() and bundled.is_file() else name)
 
     @classmethod
     def from_json(cls, text: str) -> Scene:
         """Scene from JSON text; see `load`."""
-        try:
-            document = json.loads(
-                text, object_pairs_hook=_no_twice, parse_constant=_no_constant, parse_float=_finite
-            )
-        except json.JSONDecodeError as error:
-            raise SceneError(
-                "scene file",
-                text[max(0, error.pos - 20) : error.pos + 20],
-                f"is not valid JSON at line {error.lineno} column {error.colno} ({error.msg}); "
-                "complete or correct it",
-            ) from None
-        except RecursionError:
-            raise SceneError("scene file", text[:20], "is nested too deeply; flatten it") from None
-        if not isinstance(document, dict):
-            raise SceneError(
-                "scene file", document, "must hold one JSON object with the keys of a scene"
-            )
-        try:
-            parsed = _SceneFile.model_validate_json(json.dumps(document))
-        except ValidationError as error:
-            raise _from_pydantic(error) from None
-        flat = parsed.model_dump()
-        flat["bounds"] = [parsed.bounds.min, parsed.bounds.max]
-        flat["obstacles"] = [[box.min, box.max] for box in parsed.obstacles]
-        return cls(**flat)
+        return cls(**parse(text))
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON document of the scene, all keys written out."""
@@ -219,25 +153,19 @@ class Scene:
     def _check(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
             raise SceneError("name", self.name, "must be printable text that is not blank")
-        for limit in POSITIVE_LIMITS:
-            value = getattr(self, limit)
-            if not np.isfinite(value) or value <= 0:
-                raise SceneError(limit, value, "must be a positive number")
+        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
+            raise SceneError("seed", self.seed, "must be an integer, at least 0 and below 2^63")
         ratio = self.slot / self.physics_step
+        if ratio > MAX_SUBSTEPS + 0.5:
+            raise SceneError(
+                "physics_step",
+                self.physics_step,
+                f"must be at least slot / {MAX_SUBSTEPS} = {self.slot / MAX_SUBSTEPS:g} s",
+            )
         if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
             raise SceneError(
                 "physics_step", self.physics_step, f"must divide the slot of {self.slot} s evenly"
             )
-        if round(ratio) > 1000:
-            raise SceneError(
-                "physics_step",
-                self.physics_step,
-                f"must be at least slot / 1000 = {self.slot / 1000} s",
-            )
-        for field in ("bounds", "depot", "items", "obstacles"):
-            array = getattr(self, field)
-            if not np.all(np.isfinite(array)):
-                raise SceneError(field, array.tolist(), "must be finite numbers")
         self._check_bounds()
         self._check_obstacles()
         self._check_points()
@@ -279,12 +207,12 @@ class Scene:
                     field, _box_dict(box), "reaches outside the bounds; clip it or widen the bounds"
                 )
         distance = point_box_distance(self.depot, self.obstacles)
-        for index in np.flatnonzero(distance < self.uav_radius):
+        for index in np.flatnonzero(distance < self.uav_radius).tolist():
             raise SceneError(
                 "depot",
                 self.depot.tolist(),
-                f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's radius "
-                f"uav_radius = {self.uav_radius} m; move the depot or the obstacle",
+                f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's "
+                f"radius uav_radius = {self.uav_radius} m; move the depot or the obstacle",
             )
 
     def _check_points(self) -> None:
@@ -306,7 +234,7 @@ class Scene:
                     f"is {distance[hit]:.3g} m from obstacles[{hit}]: a body of radius "
                     f"{self.uav_radius} m cannot come within epsilon = {self.epsilon} m of it",
                 )
-        return
+        from mjcollect.reachability import walled_in
 
         for node in walled_in(self):
             field = "depot" if node < 0 else f"items[{node}]"
@@ -319,59 +247,37 @@ class Scene:
             )
 
 
+def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:
+    """A fresh, finite array; -1 in `shape` is any length, also none."""
+    try:
+        array = np.array(value, dtype=np.float64)
+        if array.size == 0 and shape[0] < 0:
+            array = array.reshape(0, *shape[1:])
+        if array.shape != tuple(
+            have if want < 0 else want for want, have in zip(shape, array.shape, strict=True)
+        ):
+            raise ValueError
+    except (TypeError, ValueError):
+        wanted = " x ".join("N" if size < 0 else str(size) for size in shape)
+        raise SceneError(field, value, f"needs {wanted} numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise SceneError(field, array.tolist(), "must be finite numbers")
+    return array
+
+
+def _limit(field: str, value: object) -> float:
+    low, high = LIMIT_RANGE
+    if isinstance(value, bool) or not isinstance(value, Real) or not low <= float(value) <= high:
+        raise SceneError(field, value, f"must be a positive number from {low:g} to {high:g}")
+    return float(value)
+
+
 def _inside(point: Array, bounds: Array) -> bool:
     return bool(np.all(point >= bounds[0]) and np.all(point <= bounds[1]))
 
 
 def _box_dict(box: Array) -> dict[str, Any]:
     return {"min": box[0].tolist(), "max": box[1].tolist()}
-
-
-def _short(value: object) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, default=str)
-    text = " ".join(text.split())
-    return text if len(text) <= 90 else text[:87] + "..."
-
-
-def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    document = dict(pairs)
-    if len(document) < len(pairs):
-        keys = [key for key, _ in pairs]
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise SceneError(twice, document[twice], "the key appears twice in one object; keep one")
-    return document
-
-
-def _no_constant(text: str) -> NoReturn:
-    raise SceneError("number", text, "is not a JSON number; write a finite one")
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not np.isfinite(value):
-        raise SceneError("number", text, "is too large; write a finite number")
-    return value
-
-
-_FIXES = {
-    "missing": "is missing; add it (docs/scene-format.md lists every key)",
-    "extra_forbidden": "is not a known key; remove or rename it",
-    "too_long": "has too many entries; a point is [x, y, z]",
-    "too_short": "has too few entries; a point is [x, y, z]",
-}
-
-
-def _from_pydantic(error: ValidationError) -> SceneError:
-    """The first problem as field, value and fix."""
-    problem = error.errors(include_url=False)[0]
-    field = ""
-    for part in problem["loc"]:
-        field += f"[{part}]" if isinstance(part, int) else f"{'.' if field else ''}{part}"
-    kind = problem["type"]
-    value = "(absent)" if kind == "missing" else problem["input"]
-    if kind == "missing" and isinstance(problem["input"], list):
-        return SceneError(field, problem["input"], "a point needs three numbers [x, y, z]")
-    return SceneError(field, value, _FIXES.get(kind, problem["msg"].replace("Input ", "")))
 
 
 if __name__ == "__main__":

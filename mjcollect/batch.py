@@ -1,0 +1,191 @@
+"""Many simulations at once: N MuJoCo simulations behind one TorchRL environment.
+
+`mujoco.rollout` steps them on its own threads, each with a scene of its own if wanted, and
+returns every physics step, so a contact inside a slot is not lost. `episode.Episodes` gives the
+rules, the same as the single dm-control environment's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from mjcollect.course import Course, StartKind
+from mjcollect.episode import Episodes, Outcome, Rules
+from mjcollect.geometry import Array
+from mjcollect.mjcf import compile_model
+from mjcollect.reward import PRESETS
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+class Simulations:
+    """N flights in plain NumPy: reset, step, observe."""
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        count: int,
+        *,
+        rules: Rules | None = None,
+        start: StartKind = "point",
+        rng: np.random.Generator | None = None,
+        threads: int = 2,
+    ) -> None:
+        """Compile one model per distinct scene and prepare the threads.
+
+        Args:
+            courses: one for all, or one per simulation. count: N. rules: observation and reward.
+            start: kind of start states; rng draws them. threads: of MuJoCo.
+        """
+        rules = rules or Rules()
+        self.count, self.start = count, start
+        self.rng = rng or np.random.default_rng(0)
+        self.episodes = Episodes(courses, count, rules)
+        solid = PRESETS[rules.reward].crash_ends
+        models: dict[int, mujoco.MjModel] = {}
+        for course in courses:
+            if id(course.scene) not in models:
+                models[id(course.scene)] = compile_model(course.scene, solid=solid)
+        each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
+        self._models = each
+        self._data = [mujoco.MjData(each[0]) for _ in range(threads)]
+        # With one thread mujoco steps in the caller; threads=0 in its own terms.
+        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._n = self.episodes.world.substeps
+        self.state = np.zeros((count, mujoco.mj_stateSize(each[0], STATE)))
+        self._states = np.empty((count, self._n, self.state.shape[1]))
+        self._sensors = np.empty((count, self._n, each[0].nsensordata))
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._rollout.close()
+
+    def reset(self, which: Array | None = None) -> None:
+        """Draw new starts for the simulations `which` (indices; None for all)."""
+        which = np.arange(self.count) if which is None else which
+        if len(self.episodes.courses) == 1:
+            q, v = self.episodes.courses[0].starts(self.start, len(which), self.rng)
+        else:
+            drawn = [self.episodes.course(i).starts(self.start, 1, self.rng) for i in which]
+            q = np.concatenate([pair[0] for pair in drawn])
+            v = np.concatenate([pair[1] for pair in drawn])
+        self.place(which, q, v)
+
+    def place(self, which: Array, q: Array, v: Array) -> None:
+        """Begin episodes at q, v (n, 3) in the simulations `which` (n,)."""
+        self.state[which] = 0.0
+        self.state[which, 1:4], self.state[which, 4:7] = q, v
+        self.episodes.reset(which, q, v)
+
+    def step(self, action: Array) -> Outcome:
+        """Fly one slot with raw actions (N, 3)."""
+        acceleration = self.episodes.begin_slot(action)
+        control = np.repeat(acceleration[:, None], self._n, axis=1)
+        self._rollout.rollout(
+            self._models,
+            self._data,
+            self.state,
+            control,
+            skip_checks=True,
+            nstep=self._n,
+            state=self._states,
+            sensordata=self._sensors,
+        )
+        self.state = self._states[:, -1].copy()
+        self.acceleration = acceleration
+        return self.episodes.end_slot(
+            self._states[:, :, 1:4], self.state[:, 4:7], self._sensors[:, :, 0] > 0
+        )
+
+    @property
+    def path(self) -> Array:
+        """Positions (N, n, 3) of the last slot's physics steps."""
+        return self._states[:, :, 1:4]
+
+    @property
+    def speeds(self) -> Array:
+        """Velocities (N, n, 3) of the last slot's physics steps."""
+        return self._states[:, :, 4:7]
+
+    def observe(self) -> Array:
+        """Flat observation (N, D), the parts of `Episodes.observe` in their order."""
+        return np.concatenate(list(self.episodes.observe().values()), axis=-1)
+
+
+class BatchedFlightEnv(EnvBase):
+    """TorchRL environment of batch size N over `Simulations`.
+
+    Observation float32 (N, D); action float32 (N, 3) in [-1, 1]. `success` and `crashed` come
+    along with each step.
+    """
+
+    def __init__(self, simulations: Simulations, device: str = "cpu") -> None:
+        """Wrap `simulations`."""
+        n = simulations.count
+        super().__init__(device=device, batch_size=torch.Size([n]))
+        self.simulations = simulations
+        size = simulations.observe().shape[1]
+        flag = Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device)
+        self.observation_spec = Composite(
+            observation=Unbounded((n, size), dtype=torch.float32, device=device),
+            success=flag.clone(),
+            crashed=flag.clone(),
+            shape=(n,),
+            device=device,
+        )
+        self.action_spec = Bounded(-1.0, 1.0, (n, 3), dtype=torch.float32, device=device)
+        self.reward_spec = Unbounded((n, 1), dtype=torch.float32, device=device)
+        self.full_done_spec = Composite(
+            done=flag.clone(),
+            terminated=flag.clone(),
+            truncated=flag.clone(),
+            shape=(n,),
+            device=device,
+        )
+
+    def _flag(self, values: Array) -> torch.Tensor:
+        return torch.from_numpy(values[:, None].copy()).to(self.device)
+
+    def _dict(self, **more: torch.Tensor) -> TensorDict:
+        observation = torch.from_numpy(self.simulations.observe().astype(np.float32))
+        parts = {"observation": observation.to(self.device), **more}
+        return TensorDict(parts, batch_size=self.batch_size, device=self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        which = None
+        if tensordict is not None and "_reset" in tensordict.keys():
+            which = np.flatnonzero(tensordict["_reset"].cpu().numpy().reshape(-1))
+        self.simulations.reset(which)
+        no = np.zeros(self.simulations.count, dtype=bool)
+        flags = ("done", "terminated", "truncated", "success", "crashed")
+        return self._dict(**{flag: self._flag(no) for flag in flags})
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict["action"].cpu().numpy().astype(np.float64)
+        outcome = self.simulations.step(action)
+        reward = torch.from_numpy(outcome.reward.astype(np.float32)[:, None]).to(self.device)
+        return self._dict(
+            reward=reward,
+            done=self._flag(outcome.terminated | outcome.truncated),
+            terminated=self._flag(outcome.terminated),
+            truncated=self._flag(outcome.truncated),
+            success=self._flag(outcome.success),
+            crashed=self._flag(outcome.slot.crashed),
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.simulations.rng = np.random.default_rng(seed)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Stop MuJoCo's threads."""
+        if not self.is_closed:
+            self.simulations.close()
+        super().close(raise_if_closed=raise_if_closed)

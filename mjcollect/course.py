@@ -1,0 +1,136 @@
+"""A course: the nodes of one scene to be visited in turn. A segment has two, a mission K + 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from mjcollect.bounds import detour_bound
+from mjcollect.geometry import Array, point_box_distance
+from mjcollect.guidance import Guidance
+from mjcollect.scene import Scene
+from mjcollect.tour import legs
+
+StartKind = Literal["point", "ball", "spread"]
+START_KINDS: tuple[StartKind, ...] = ("point", "ball", "spread")
+
+MIN_SLOTS = 100  # step limit P: at least this, and LIMIT_FACTOR times the guidance path's time
+LIMIT_FACTOR = 3.0
+SPREAD_SHARE = 0.7  # of `spread` starts are strewn around the way, the rest lie in the ball
+SPREAD_SPEED = 15.0  # m/s, the fastest `spread` start
+SPREAD_SLACK = 40.0  # metres added to the path length for the ellipsoid of `spread` starts
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Where to go, with a guidance field for each target.
+
+    Attributes:
+        scene: the scene.
+        nodes: start node, then the targets in turn; item index, or -1 for the depot.
+        guidance: one per target, from the node before.
+        step_limit: slots after which an episode is cut off (P).
+    """
+
+    scene: Scene
+    nodes: tuple[int, ...]
+    guidance: tuple[Guidance, ...] = field(init=False)
+    step_limit: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Build the guidance fields.
+
+        Raises:
+            GuidanceError: a target cannot be reached.
+        """
+        ways = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
+        fields = [Guidance(self.scene, to, self.scene.point(frm)) for frm, to in ways]
+        time = sum(
+            detour_bound(self.scene, frm, to, field.length)
+            for (frm, to), field in zip(ways, fields, strict=True)
+        )
+        object.__setattr__(self, "guidance", tuple(fields))
+        limit = max(MIN_SLOTS, int(np.ceil(LIMIT_FACTOR * time / self.scene.slot)))
+        object.__setattr__(self, "step_limit", limit)
+
+    @classmethod
+    def segment(cls, scene: Scene, order: tuple[int, ...], index: int) -> Course:
+        """Segment `index` of a tour, 0..K.
+
+        Raises:
+            ValueError: there is no such segment.
+        """
+        if not 0 <= index <= len(order):
+            raise ValueError(
+                f"segment: {index}: must be 0 to {len(order)}: a tour of {len(order)} items has "
+                f"{len(order) + 1} segments"
+            )
+        return cls(scene, legs(order)[index])
+
+    @classmethod
+    def mission(cls, scene: Scene, order: tuple[int, ...]) -> Course:
+        """The whole tour from depot to depot."""
+        return cls(scene, (-1, *order, -1))
+
+    def starts(self, kind: StartKind, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Start positions and velocities, each (count, 3), in bounds and clear of boxes.
+
+        Args:
+            kind: `point`: at rest exactly at the start node. `ball`: at rest anywhere within the
+                node's tolerance, where the segment before can have stopped. `spread`, for
+                training: most in an ellipsoid around the way, moving at up to 15 m/s.
+        """
+        home = self.scene.point(self.nodes[0])
+        if kind == "point":
+            return np.tile(home, (count, 1)), np.zeros((count, 3))
+        q, v = np.empty((count, 3)), np.zeros((count, 3))
+        spread = rng.random(count) < (SPREAD_SHARE if kind == "spread" else 0.0)
+        wanting = np.ones(count, dtype=bool)
+        for _ in range(1000):
+            todo = np.flatnonzero(wanting)
+            if len(todo) == 0:
+                return q, v
+            unit = _in_unit_ball(rng, len(todo))
+            far = spread[todo, None]
+            speed = _in_unit_ball(rng, len(todo)) * min(SPREAD_SPEED, self.scene.v_max)
+            q[todo] = np.where(far, self._around(unit), home + unit * self._home_radius())
+            v[todo] = np.where(far, speed, 0.0)
+            wanting[todo] = ~self._clear(q[todo], v[todo])
+        # A start node wedged between boxes: the node itself is known to be free.
+        q[wanting], v[wanting] = home, 0.0
+        return q, v
+
+    def _home_radius(self) -> float:
+        return self.scene.tolerance(self.nodes[0])
+
+    def _around(self, unit: Array) -> Array:
+        """Unit ball (n, 3) mapped onto the ellipsoid with the first leg's ends as foci."""
+        start, end = self.scene.point(self.nodes[0]), self.guidance[0].aim
+        axis = end - start
+        focal = float(np.linalg.norm(axis))
+        total = max(self.guidance[0].length, focal) + SPREAD_SLACK
+        major, minor = total / 2, np.sqrt(total**2 - focal**2) / 2
+        along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
+        share = unit @ along
+        across = unit - share[:, None] * along
+        return (start + end) / 2 + share[:, None] * along * major + across * minor
+
+    def _clear(self, q: Array, v: Array) -> np.ndarray:
+        """In bounds and clear of boxes with room to brake."""
+        low, high = self.scene.bounds
+        room = np.sum(v**2, axis=1) / (2 * self.scene.a_max)
+        inside = np.all((q >= low) & (q <= high), axis=1)
+        ahead = q + v * (np.linalg.norm(v, axis=1) / (2 * self.scene.a_max))[:, None]
+        inside &= np.all((ahead >= low) & (ahead <= high), axis=1)
+        if len(self.scene.obstacles) == 0:
+            return inside
+        gap = point_box_distance(q[:, None], self.scene.obstacles).min(axis=1)
+        return inside & (gap >= self.scene.uav_radius + room)
+
+
+def _in_unit_ball(rng: np.random.Generator, count: int) -> Array:
+    direction = rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return direction * rng.random((count, 1)) ** (1 / 3)

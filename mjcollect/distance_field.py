@@ -1,0 +1,140 @@
+"""Shortest free path lengths to a point on a regular grid, by fast marching (scikit-fmm).
+
+The grid is vertex-centred and conservative: a node counts as blocked if any part of its cell is
+within the body's radius of a box, so a path through free nodes never touches one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import skfmm
+from scipy import ndimage
+
+from mjcollect.geometry import Array, segment_clear
+from mjcollect.reachability import blocked_grid
+from mjcollect.scene import Scene
+
+RISE = 2.0  # slope of the field inside blocked cells: uphill, away from the nearest free one
+
+
+class DistanceField:
+    """Distances in metres to `aim` on a grid over the bounds.
+
+    Attributes:
+        h: (3,) spacing in metres.
+    """
+
+    def __init__(
+        self, scene: Scene, aim: Array, cells: int, within: tuple[Array, float] | None = None
+    ) -> None:
+        """March from `aim` (3,) over `cells` cells along the longest axis.
+
+        Args:
+            within: (focus (3,), total): only the ellipsoid with foci `focus` and `aim` and that
+                sum of distances in metres is marched; elsewhere the field is undefined. Every
+                path from `focus` of at most that length lies inside.
+        """
+        low, high = scene.bounds
+        count = np.maximum(np.ceil((high - low) / np.max(high - low) * cells), 4).astype(int)
+        self._scene, self._low, self.h = scene, low, (high - low) / count
+        self._shape = tuple(int(n) + 1 for n in count)
+        blocked = blocked_grid(scene.bounds, scene.obstacles, scene.uav_radius, self._shape)
+        straight = self._straight(aim)
+        outside = None
+        if within is not None:
+            outside = straight + self._straight(within[0]) > within[1]
+        # The front starts from a small ball, inside which the straight distance is exact.
+        ball = 2.0 * float(np.max(self.h))
+        near = np.argwhere(straight <= ball)
+        seen = segment_clear(self.points(near), aim, scene.obstacles, scene.uav_radius)
+        blocked[tuple(near.T)] = ~seen
+        self._connected = bool(seen.any())
+        if not self._connected:
+            self._distance = np.full(self._shape, np.nan, dtype=np.float32)
+        else:
+            closed = blocked if outside is None else blocked | outside
+            front = np.ma.MaskedArray(straight - ball, closed)
+            distance = np.ma.filled(skfmm.distance(front, dx=self.h.tolist()), np.nan) + ball
+            inside = tuple(near[seen].T)
+            distance[inside] = straight[inside]
+            self._distance = distance.astype(np.float32)
+        self._free = np.isfinite(self._distance)
+        self._filled = self._fill(outside).reshape(-1)
+
+    def _straight(self, point: Array) -> Array:
+        square = [
+            (self._low[k] + self.h[k] * np.arange(self._shape[k]) - point[k]) ** 2 for k in range(3)
+        ]
+        return np.asarray(
+            np.sqrt(square[0][:, None, None] + square[1][None, :, None] + square[2][None, None, :])
+        )
+
+    def _fill(self, outside: np.ndarray | None) -> np.ndarray:
+        """The field continued into blocked cells, rising away from the nearest free one."""
+        if not self._connected:
+            return self._distance
+        away, index = ndimage.distance_transform_edt(
+            ~self._free, sampling=self.h, return_indices=True
+        )
+        filled = self._distance[tuple(index)] + np.float32(RISE) * away.astype(np.float32)
+        if outside is not None:
+            filled[outside] = np.nan
+        return np.asarray(filled)
+
+    def points(self, nodes: np.ndarray) -> Array:
+        """Positions (n, 3) of grid nodes (n, 3)."""
+        return np.asarray(self._low + nodes * self.h)
+
+    def query(self, q: Array) -> tuple[Array, Array]:
+        """Interpolated distance (N,) and descent (N, 3), minus its gradient; NaN where undefined."""
+        last = np.array(self._shape) - 2
+        where = (q - self._low) / self.h
+        cell = np.clip(where.astype(np.int64), 0, last)
+        part = np.clip(where - cell, 0.0, 1.0)
+        _, ny, nz = self._shape
+        base = (cell[:, 0] * ny + cell[:, 1]) * nz + cell[:, 2]
+        offsets = np.array([(i * ny + j) * nz + k for i, j, k in np.ndindex(2, 2, 2)])
+        corner = self._filled[base[:, None] + offsets].astype(np.float64).reshape(-1, 2, 2, 2)
+        x, y, z = (part[:, k, None, None] for k in range(3))
+        along_x = corner[:, 1] - corner[:, 0]  # (N, 2, 2) over y, z
+        at_x = corner[:, 0] + x * along_x
+        slope_x = along_x[:, 0] + y[:, 0] * (along_x[:, 1] - along_x[:, 0])
+        along_y = at_x[:, 1] - at_x[:, 0]  # (N, 2) over z
+        at_y = at_x[:, 0] + y[:, 0] * along_y
+        slope = np.stack(
+            [
+                slope_x[:, 0] + z[:, 0, 0] * (slope_x[:, 1] - slope_x[:, 0]),
+                along_y[:, 0] + z[:, 0, 0] * (along_y[:, 1] - along_y[:, 0]),
+                at_y[:, 1] - at_y[:, 0],
+            ],
+            axis=-1,
+        )
+        value = at_y[:, 0] + z[:, 0, 0] * (at_y[:, 1] - at_y[:, 0])
+        return value, -slope / self.h
+
+    def entry(self, start: Array) -> tuple[int, ...] | None:
+        """The best node near `start` (3,) joined to the aim and in clear straight sight, if any."""
+        index = np.rint((start - self._low) / self.h).astype(int)
+        near = index + np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), -1)
+        near = near.reshape(-1, 3)
+        near = near[np.all((near >= 0) & (near < self._shape), axis=1)]
+        near = near[self._free[tuple(near.T)]]
+        scene = self._scene
+        near = near[segment_clear(start, self.points(near), scene.obstacles, scene.uav_radius)]
+        if len(near) == 0:
+            return None
+        total = np.linalg.norm(self.points(near) - start, axis=1) + self._distance[tuple(near.T)]
+        return tuple(near[int(np.argmin(total))])
+
+    def descend(self, node: tuple[int, ...]) -> tuple[int, ...] | None:
+        """The neighbour (of 26) with the steepest descent; None where nothing is lower."""
+        low = np.maximum(np.array(node) - 1, 0)
+        high = np.minimum(np.array(node) + 2, self._shape)
+        block = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        near = np.stack(np.meshgrid(*[np.arange(s.start, s.stop) for s in block], indexing="ij"), -1)
+        length = np.linalg.norm((near - np.array(node)) * self.h, axis=-1)
+        fall = self._distance[node] - self._distance[block]
+        slope = np.where(length > 0, fall / np.maximum(length, 1e-9), -np.inf)
+        slope = np.nan_to_num(slope, nan=-np.inf)
+        best = np.unravel_index(np.argmax(slope), slope.shape)
+        return tuple(near[best]) if slope[best] > 0 else None

@@ -1,0 +1,191 @@
+"""Episode bookkeeping over N simulations: targets, collection, reward and termination.
+
+The one place where commands, events, rewards and observations meet; it knows positions and
+velocities only, not which simulator moves the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjcollect.course import Course
+from mjcollect.flight import Bools, Slot, World, command, judge
+from mjcollect.geometry import FAR, Array
+from mjcollect.guidance_law import guidance_law
+from mjcollect.observation import OBSERVATIONS, Parts, State
+from mjcollect.reward import PRESETS, Approach
+
+GAMMA = 0.99  # discount per slot, also that of the learner
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Which observation and reward an episode uses, and its discount.
+
+    Raises:
+        ValueError: unknown names, or a discount outside (0, 1).
+    """
+
+    observation: str = "guided"
+    reward: str = "time"
+    gamma: float = GAMMA
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        for field, choices in (("observation", OBSERVATIONS), ("reward", PRESETS)):
+            if getattr(self, field) not in choices:
+                raise ValueError(
+                    f"{field}: {getattr(self, field)!r}: must be one of {', '.join(choices)}"
+                )
+        if not 0.0 < self.gamma < 1.0:
+            raise ValueError(f"gamma: {self.gamma}: must lie between 0 and 1")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of one slot, each (N,).
+
+    Attributes:
+        reward: of the slot. slot: its events.
+        terminated: the course is finished, or a crash ended it. truncated: the step limit did.
+        success: the course is finished.
+    """
+
+    reward: Array
+    slot: Slot
+    terminated: Bools
+    truncated: Bools
+    success: Bools
+
+
+class Episodes:
+    """N episodes, each on a course of its own or all on one.
+
+    Attributes:
+        q, v: (N, 3) positions and velocities. target: (N,) index of each one's current target.
+        collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
+    """
+
+    def __init__(self, courses: Sequence[Course], count: int, rules: Rules) -> None:
+        """Prepare `count` episodes, on one course or one each.
+
+        Raises:
+            ValueError: the number of courses is neither 1 nor `count`.
+        """
+        if len(courses) not in (1, count):
+            raise ValueError(f"courses: {len(courses)}: must be 1 or the batch size {count}")
+        self.courses, self.count, self.rules = tuple(courses), count, rules
+        self.world = World.stack(
+            [courses[0].scene]
+            if all(course.scene is courses[0].scene for course in courses)
+            else [course.scene for course in courses]
+        )
+        self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
+        # All targets of all distinct courses in one list; each episode walks a stretch of it.
+        distinct = list(dict.fromkeys(courses))
+        self._guidance = [field for course in distinct for field in course.guidance]
+        self._node = np.array([node for course in distinct for node in course.nodes[1:]])
+        offset = np.cumsum([0, *(len(course.guidance) for course in distinct)])
+        which = np.array([distinct.index(course) for course in courses])
+        which = np.broadcast_to(which, (count,))
+        self._first, self._last = offset[which], offset[which + 1] - 1
+        self._goal = np.array([field.goal for field in self._guidance])
+        self._tolerance = np.array([field.tolerance for field in self._guidance])
+        self.step_limit = np.array([distinct[w].step_limit for w in which])
+        most = max(len(course.scene.items) for course in courses)
+        self._items = np.full((count, most, 3), FAR)
+        self._depot = np.empty((count, 3))
+        for index, w in enumerate(which):
+            scene = distinct[w].scene
+            self._items[index, : len(scene.items)] = scene.items
+            self._depot[index] = scene.depot
+        self.q, self.v = np.zeros((count, 3)), np.zeros((count, 3))
+        self.target = self._first.copy()
+        self.collected = np.zeros((count, most), dtype=bool)
+        self.steps = np.zeros(count, dtype=np.int64)
+        self.crashed = np.zeros(count, dtype=bool)
+        self._stop = np.zeros(count, dtype=bool)
+        self._approach = self._look()
+
+    def course(self, index: int) -> Course:
+        """The course of episode `index`."""
+        return self.courses[index if len(self.courses) > 1 else 0]
+
+    def reset(self, which: Array, q: Array, v: Array) -> None:
+        """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
+        self.q[which], self.v[which] = q, v
+        self.target[which] = self._first[which]
+        self.collected[which] = False
+        self.steps[which] = 0
+        self.crashed[which] = False
+        self._approach = self._look()
+
+    def begin_slot(self, action: Array) -> Array:
+        """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
+        goal, tolerance = self._goal[self.target], self._tolerance[self.target]
+        acceleration, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
+        return acceleration
+
+    def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
+        """Judge the slot just flown and move on to the next target where one was reached.
+
+        Args:
+            path: (N, n, 3) positions after each physics step. v: (N, 3) velocity at the end.
+            sensed: (N, n) contact sensor after each step.
+        """
+        slot = judge(self.world, self.q, path, sensed, self._stop)
+        before = self._approach
+        self.q, self.v = path[:, -1].copy(), v.copy()
+        if self._preset.crash_ends:
+            ended = slot.crashed
+        else:
+            # Contact is sensed, not resolved: motion went on, so the stop holds all the same.
+            ended = np.zeros(self.count, dtype=bool)
+            slot = Slot(slot.contact, slot.outside, self._stop.copy(), slot.first_event)
+        after = self._look()
+        reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
+        self.crashed |= slot.crashed
+        self.steps += 1
+        success = slot.arrived & (self.target == self._last)
+        node = self._node[self.target]
+        taken = np.flatnonzero(slot.arrived & (node >= 0))
+        self.collected[taken, node[taken]] = True
+        moving = slot.arrived & ~success
+        self.target = self.target + moving
+        self._approach = self._look() if moving.any() else after
+        terminated = success | ended
+        return Outcome(
+            reward, slot, terminated, ~terminated & (self.steps >= self.step_limit), success
+        )
+
+    def observe(self) -> Parts:
+        """Named parts of the observation, each (N, d)."""
+        state = State(self.q, self.v, self._approach, self._items, self.collected, self._depot)
+        return self._observation(self.world, state)
+
+    def guidance_action(self) -> Array:
+        """Actions (N, 3) of the guidance law from here."""
+        approach = self._approach
+        return guidance_law(
+            self.world, self.q, self.v, approach.distance, approach.direction, self._query
+        )
+
+    def _look(self) -> Approach:
+        distance, direction = self._query(self.q)
+        return Approach(
+            offset=self._goal[self.target] - self.q,
+            distance=distance,
+            direction=direction,
+            closing=np.sum(self.v * direction, axis=-1),
+            returning=self._node[self.target] < 0,
+        )
+
+    def _query(self, q: Array) -> tuple[Array, Array]:
+        distance, direction = np.empty(self.count), np.empty((self.count, 3))
+        for target in np.unique(self.target):
+            mine = self.target == target
+            distance[mine], direction[mine] = self._guidance[target].query(q[mine])
+        return distance, direction

@@ -1,0 +1,181 @@
+"""Guidance to one goal: shortest free path length and direction from anywhere, and a tight path.
+
+A distance field (fast marching) gives both; where the straight line to the goal is clear they are
+exact. Where obstacles bend the way, a finer field covers the ellipsoid in which a shorter way
+could lie, since gaps narrower than two cells are closed on a conservative grid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjcollect.distance_field import DistanceField
+from mjcollect.geometry import Array, inflate, point_box_distance, segment_clear
+from mjcollect.scene import Scene
+
+COARSE, FINE = 100, 200  # cells along the longest axis: 10 m and 5 m in a 1 km cube
+FINE_SLACK = 60.0  # metres by which ways through the finer field may be longer than the coarse one
+CLEARANCE = 0.5  # metres beyond the body's radius for the goal's line of sight
+
+
+class GuidanceError(ValueError):
+    """No passage to the goal was found on the finest grid."""
+
+
+class Guidance:
+    """Shortest-path distance and direction to one node of a scene, from anywhere in the bounds.
+
+    Attributes:
+        goal: (3,) position of the target node. aim: (3,) point flown to: the goal, or the nearest
+            point of its tolerance ball where the body fits.
+        tolerance: metres within which the body must come to rest.
+    """
+
+    def __init__(self, scene: Scene, node: int, start: Array) -> None:
+        """Build the fields.
+
+        Args:
+            scene: the scene. node: item index, or -1 for the depot.
+            start: (3,) where the way begins; the finer field is made for it.
+
+        Raises:
+            GuidanceError: `start` and the goal are not connected on the finest grid.
+        """
+        self.scene, self.node, self.start = scene, node, start
+        self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
+        self.aim = _feasible_aim(scene, self.goal, self.tolerance)
+        self._keep = inflate(scene.obstacles, scene.uav_radius + CLEARANCE)
+        self._fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
+        within = None
+        if self._fields[0].entry(start) is not None:
+            self.path = self._descend(self._fields[0])
+            within = (start, path_length(self.path) + FINE_SLACK)
+        if within is None or len(self.path) > 2:
+            self._fields.append(DistanceField(scene, self.aim, FINE, within))
+            if self._fields[1].entry(start) is not None:
+                finer = self._descend(self._fields[1])
+                if within is None or path_length(finer) < path_length(self.path):
+                    self.path = finer
+            elif within is None:
+                raise GuidanceError(
+                    f"no passage from {start.tolist()} to {_name(node)} was found on a grid of "
+                    f"{np.max(self._fields[1].h):.3g} m: widen the gaps between the obstacles to "
+                    "two cells, or move the item"
+                )
+
+    @property
+    def length(self) -> float:
+        """Metres of `path`, and on to the goal where the aim is beside it."""
+        return path_length(self.path) + float(np.linalg.norm(self.goal - self.aim))
+
+    def query(self, q: Array) -> tuple[Array, Array]:
+        """Shortest free path length (N,) in m and its unit direction (N, 3) from q (N, 3)."""
+        distance, direction = self._fields[0].query(q)
+        for field in self._fields[1:]:
+            finer, finer_direction = field.query(q)
+            known = np.isfinite(finer)
+            distance = np.where(known, finer, distance)
+            direction = np.where(known[:, None], finer_direction, direction)
+        offset = self.aim - q
+        straight = np.linalg.norm(offset, axis=-1)
+        seen = self._sees_aim(q)
+        distance = np.where(seen, straight, np.maximum(distance, straight))
+        direction = np.where(seen[:, None], offset, direction)
+        norm = np.linalg.norm(direction, axis=-1, keepdims=True)
+        return distance, np.where(norm > 1e-9, direction / np.maximum(norm, 1e-9), 0.0)
+
+    def _sees_aim(self, q: Array) -> np.ndarray:
+        """Where the straight line from q (N, 3) to the aim misses every box with room to spare."""
+        start, step = q[:, None], self.aim - q[:, None]
+        step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+        one = (self._keep[:, 0] - start) / step
+        two = (self._keep[:, 1] - start) / step
+        enter = np.minimum(one, two).max(axis=-1)
+        leave = np.maximum(one, two).min(axis=-1)
+        return np.asarray(~np.any((enter <= leave) & (leave >= 0.0) & (enter <= 1.0), axis=1))
+
+    def _descend(self, field: DistanceField) -> Array:
+        """A tight free path (P, 3) from the start down the field to the aim."""
+        boxes, radius = self.scene.obstacles, self.scene.uav_radius
+        points, node = [self.start], field.entry(self.start)
+        while not segment_clear(points[-1], self.aim, boxes, radius):
+            if node is None:
+                raise GuidanceError(f"no way down from {points[-1].tolist()} to {self.aim.tolist()}")
+            points.append(field.points(np.array(node)))
+            node = field.descend(node)
+        return tighten(np.array([*points, self.aim]), self.scene)
+
+
+def path_length(points: Array) -> float:
+    """Length in metres of a polyline (P, 3)."""
+    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def tighten(points: Array, scene: Scene, rounds: int = 60) -> Array:
+    """Shorten a free polyline (P, 3) while the body keeps clear of every box. (P', 3)."""
+    radius, boxes = scene.uav_radius, scene.obstacles
+    points = _skip(points, boxes, radius)
+    if len(points) == 2:
+        return points
+    # Split the pieces so that corners can slide along edges, then pull every inner point towards
+    # the line through its neighbours as far as both pieces stay clear.
+    points = _split(points)
+    for _ in range(rounds):
+        before = points.copy()
+        for i in range(1, len(points) - 1):
+            points[i] = _pulled(points[i - 1], points[i], points[i + 1], boxes, radius)
+        if np.max(np.abs(points - before)) < 1e-3:
+            break
+    return _skip(points, boxes, radius)
+
+
+def _skip(points: Array, boxes: Array, radius: float) -> Array:
+    """Drop the points between each kept one and the farthest that it sees."""
+    kept = [0]
+    while kept[-1] < len(points) - 1:
+        ahead = np.arange(kept[-1] + 1, len(points))
+        clear = segment_clear(points[kept[-1]], points[ahead], boxes, radius)
+        clear[0] = True
+        kept.append(int(ahead[np.flatnonzero(clear)[-1]]))
+    return points[kept]
+
+
+def _split(points: Array) -> Array:
+    parts = [points[:1]]
+    for a, b in zip(points[:-1], points[1:], strict=True):
+        share = np.linspace(0.0, 1.0, 3)[1:, None]
+        parts.append(a + share * (b - a))
+    return np.concatenate(parts)
+
+
+def _pulled(before: Array, point: Array, after: Array, boxes: Array, radius: float) -> Array:
+    chord = after - before
+    share = np.clip(np.dot(point - before, chord) / max(np.dot(chord, chord), 1e-12), 0.0, 1.0)
+    foot = before + share * chord
+    steps = np.linspace(1.0, 0.0, 17)[:, None]
+    candidates = point + steps * (foot - point)
+    clear = segment_clear(before, candidates, boxes, radius)
+    clear &= segment_clear(candidates, after, boxes, radius)
+    clear[-1] = True
+    return np.asarray(candidates[int(np.argmax(clear))])
+
+
+def _feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
+    """The goal, or the nearest point of its ball that keeps the body clear of boxes, in bounds."""
+    room = scene.uav_radius + min(CLEARANCE, 0.25 * tolerance)
+    if len(scene.obstacles) == 0 or np.all(point_box_distance(goal, scene.obstacles) >= room):
+        return goal
+    steps = np.linspace(-0.8, 0.8, 33) * tolerance
+    ball = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+    ball = ball[np.linalg.norm(ball, axis=1) <= 0.8 * tolerance]
+    points = goal + ball[np.argsort(np.linalg.norm(ball, axis=1), kind="stable")]
+    inside = np.all((points >= scene.bounds[0]) & (points <= scene.bounds[1]), axis=1)
+    gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
+    good = np.flatnonzero(inside & (gap >= room))
+    if len(good) == 0:
+        good = np.flatnonzero(inside & (gap >= scene.uav_radius + 1e-6))
+    return points[good[0]] if len(good) else goal
+
+
+def _name(node: int) -> str:
+    return "the depot" if node < 0 else f"items[{node}]"

@@ -1,0 +1,221 @@
+"""Which nodes of a scene are walled in: refused only on proof, never on a grid's evidence alone.
+
+A conservative grid, on which every free cell is free throughout, shows nearly every node to be
+reachable. For the rest, space is cut exactly at the faces of boxes that lie inside the forbidden
+set. What these leave free contains all that is truly free, so a node enclosed in it is walled in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjcollect.geometry import Array, segment_clear
+
+if TYPE_CHECKING:
+    from mjcollect.scene import Scene
+
+Mask = NDArray[np.bool_]
+
+DEPOT = -1
+_GRIDS = (50, 100, 200)  # cells along the longest side of the bounds, tried in turn
+_LOOKS = 100  # nearby free cells that a node between blocked ones looks for
+_MAX_CELLS = 4_000_000  # of an exact decomposition; about half a second
+_GROWTH = 3.0  # from one window of the proof to the next
+# Which axes a box is grown along, by radius / sqrt(their number): each such box lies within
+# `radius` of the original.
+_ALL_SUBSETS = np.array([axes for axes in product((0.0, 1.0), repeat=3) if any(axes)])
+_ONE_SUBSET = np.ones((1, 3))
+# A gap of exactly the body's width can be passed: grow by a hair less.
+_HAIR = 1e-6
+
+
+def blocked_grid(
+    bounds: Array, obstacles: Array, radius: float, shape: tuple[int, int, int]
+) -> Mask:
+    """Conservative occupancy of a vertex-centred grid.
+
+    Node i of axis k lies at low_k + i h_k with h_k = (high_k - low_k) / (shape_k - 1); its cell
+    reaches h_k / 2 to each side.
+
+    Args:
+        bounds: (2, 3). obstacles: (M, 2, 3). radius: of the body, m. shape: nodes, each >= 2.
+
+    Returns:
+        `shape` booleans: True where any part of the cell is within `radius` of a box.
+    """
+    spacing = (bounds[1] - bounds[0]) / (np.array(shape) - 1)
+    blocked = np.zeros(shape, dtype=bool)
+    for box in obstacles:
+        squares, spans = [], []
+        for axis in range(3):
+            node = bounds[0, axis] + spacing[axis] * np.arange(shape[axis])
+            gap = np.maximum(box[0, axis] - node, node - box[1, axis]) - spacing[axis] / 2
+            near = np.flatnonzero(gap < radius)
+            spans.append(slice(near[0], near[-1] + 1) if len(near) else slice(0))
+            squares.append(np.maximum(gap[spans[-1]], 0.0) ** 2)
+        x, y, z = squares
+        blocked[tuple(spans)] |= x[:, None, None] + y[:, None] + z < radius**2
+    return blocked
+
+
+def walled_in(scene: Scene) -> list[int]:
+    """Nodes proved to be walled in: items cut off from the depot, or [-1] if all of them are."""
+    suspects = _unconnected(scene)
+    if not suspects:
+        return []
+    pocket = _pocket(scene, DEPOT)
+    if pocket is None:
+        return [item for item in suspects if _pocket(scene, item) is not None]
+    cut = [item for item in suspects if not np.any(pocket.near(scene.items[item], scene.epsilon))]
+    return [DEPOT] if len(cut) == len(scene.items) else cut
+
+
+# Evidence: the grids
+
+
+def _unconnected(scene: Scene) -> list[int]:
+    """Items that no grid shows to be connected to the depot."""
+    left = list(range(len(scene.items)))
+    if len(scene.obstacles) == 0:
+        return []
+    extent = scene.bounds[1] - scene.bounds[0]
+    for cells in _GRIDS:
+        count = np.maximum(1, np.ceil(extent * cells / extent.max())).astype(int)
+        shape = (int(count[0]) + 1, int(count[1]) + 1, int(count[2]) + 1)
+        free = ~blocked_grid(scene.bounds, scene.obstacles, scene.uav_radius, shape)
+        labels = _label(free, corners=False)
+        home = _entries(scene, DEPOT, labels)
+        left = [item for item in left if home.isdisjoint(_entries(scene, item, labels))]
+        if not left:
+            break
+    return left
+
+
+def _label(free: Mask, *, corners: bool) -> NDArray[np.int32]:
+    """Connected components of the free cells, 0 where blocked; through corners or faces only."""
+    from scipy import ndimage
+
+    structure = ndimage.generate_binary_structure(3, 3 if corners else 1)
+    return np.asarray(ndimage.label(free, structure)[0])
+
+
+def _entries(scene: Scene, node: int, labels: NDArray[np.int32]) -> set[int]:
+    """Components of the grid that can be entered from where the UAV may stand for `node`.
+
+    Either a free cell touches the tolerance ball, or the node sees the centre of one nearby. The
+    mission starts at the depot itself: its ball has no extent.
+    """
+    point = scene.point(node)
+    reach = 0.0 if node == DEPOT else scene.epsilon
+    low = scene.bounds[0]
+    last_node = np.array(labels.shape) - 1
+    spacing = (scene.bounds[1] - low) / last_node
+    first = np.maximum(0, np.floor((point - reach - low) / spacing - 2).astype(int))
+    last = np.minimum(last_node, np.ceil((point + reach - low) / spacing + 2).astype(int))
+    window = labels[tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))]
+    index = np.argwhere(window)
+    found = window[tuple(index.T)]
+    centres = np.clip(low + (index + first) * spacing, *scene.bounds)
+    away = np.abs(point - centres)
+    touching = np.linalg.norm(np.maximum(away - spacing / 2, 0.0), axis=1) <= reach
+    if np.any(touching):
+        return set(found[touching].tolist())
+    nearest = np.argsort(np.linalg.norm(away, axis=1), kind="stable")[:_LOOKS]
+    seen = segment_clear(point, centres[nearest], scene.obstacles, scene.uav_radius)
+    return set(found[nearest][seen].tolist())
+
+
+# Proof: the exact decomposition
+
+
+@dataclass(frozen=True)
+class _Pocket:
+    """A union of cells between `lines`, one array per axis."""
+
+    lines: list[Array]
+    cells: Mask
+
+    def near(self, point: Array, reach: float) -> Mask:
+        """Its cells that come within `reach` of a point."""
+        return self.cells & (_square_gap(self.lines, point) <= reach**2)
+
+
+def _square_gap(lines: list[Array], point: Array) -> Array:
+    """Squared distance from a point to every closed cell."""
+    x, y, z = (
+        np.maximum(np.maximum(line[:-1] - at, at - line[1:]), 0.0) ** 2
+        for line, at in zip(lines, point, strict=True)
+    )
+    return np.asarray(x[:, None, None] + y[:, None] + z)
+
+
+def _pocket(scene: Scene, node: int) -> _Pocket | None:
+    """The enclosed free space around a node (without the depot, for an item); None if not proved.
+
+    Closed free cells count as connected where they share a corner, so no path is missed.
+    """
+    point = scene.point(node)
+    reach = 0.0 if node == DEPOT else scene.epsilon
+    half = 2.0 * (reach + scene.uav_radius)
+    while True:
+        low = np.maximum(point - half, scene.bounds[0])
+        high = np.minimum(point + half, scene.bounds[1])
+        lines, free = _decompose(scene, low, high)
+        if free is None:
+            return None
+        labels = _label(free, corners=True)
+        start = (_square_gap(lines, point) <= reach**2) & free
+        cells = np.isin(labels, np.unique(labels[start])) & free
+        if node != DEPOT and np.any(cells & (_square_gap(lines, scene.depot) <= 0.0)):
+            return None
+        if not _leaves(cells, low > scene.bounds[0], high < scene.bounds[1]):
+            return _Pocket(lines, cells)
+        half *= _GROWTH
+
+
+def _leaves(cells: Mask, open_low: Mask, open_high: Mask) -> bool:
+    """Whether cells touch a side of the window that is not a side of the bounds."""
+    for axis in range(3):
+        layers = np.moveaxis(cells, axis, 0)
+        if (open_low[axis] and np.any(layers[0])) or (open_high[axis] and np.any(layers[-1])):
+            return True
+    return False
+
+
+def _decompose(scene: Scene, low: Array, high: Array) -> tuple[list[Array], Mask | None]:
+    """Lines and free cells of a window; no cells if there would be too many."""
+    near = np.all(
+        (scene.obstacles[:, 0] - scene.uav_radius <= high)
+        & (scene.obstacles[:, 1] + scene.uav_radius >= low),
+        axis=1,
+    )
+    for subsets in (_ALL_SUBSETS, _ONE_SUBSET):
+        boxes = _inner_boxes(scene.obstacles[near], scene.uav_radius, subsets)
+        boxes = np.clip(boxes, low, high)
+        lines = [np.unique([low[k], high[k], *boxes[:, :, k].ravel()]) for k in range(3)]
+        shape = tuple(len(line) - 1 for line in lines)
+        if np.prod(shape, dtype=float) <= _MAX_CELLS:
+            break
+    else:
+        return lines, None
+    free = np.ones(shape, dtype=bool)
+    for box in boxes:
+        free[
+            tuple(
+                slice(*np.searchsorted(line, box[:, axis]).tolist())
+                for axis, line in enumerate(lines)
+            )
+        ] = False
+    return lines, free
+
+
+def _inner_boxes(boxes: Array, radius: float, subsets: Array) -> Array:
+    """Boxes (N, 2, 3) inside the set of points closer than `radius` to one of `boxes`."""
+    grow = subsets * radius * (1 - _HAIR) / np.sqrt(subsets.sum(axis=1, keepdims=True))
+    grown = np.stack([boxes[:, None, 0] - grow, boxes[:, None, 1] + grow], axis=-2)
+    return grown.reshape(-1, 2, 3)

@@ -1,0 +1,98 @@
+"""Reward presets, vectorised over N simulations.
+
+`time`, the default: minus the time flown, shaped by a discount-consistent potential of the least
+time to go. `paper`: r1..r6 of the paper's section V-A to the letter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjcollect.flight import Bools, Slot, World
+from mjcollect.geometry import Array
+
+CRASH = -2.0  # `time`: flat, with no potential term
+TIME_CAP = 60.0  # seconds; the time to go in the potential saturates here
+R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # paper, section V-A
+
+
+def time_to_go(world: World, distance: Array, closing: Array) -> Array:
+    """Least time in s to come to rest after `distance` metres along a line, under both limits.
+
+    Args:
+        distance: (N,) >= 0. closing: (N,) speed along the line in m/s, negative when receding.
+
+    Returns:
+        (N,) seconds, capped at 60.
+    """
+    a, top = world.a_max[..., 0], world.v_max[..., 0]
+    away = np.minimum(closing, 0.0)  # first brake the receding motion
+    time = -away / a
+    distance = distance + away**2 / (2 * a)
+    speed = np.minimum(np.maximum(closing, 0.0), top)
+    braking = speed**2 / (2 * a)
+    over = braking > distance  # too fast to stop in time: brake, then come back
+    time = time + np.where(over, speed / a, 0.0)
+    distance = np.where(over, braking - distance, distance)
+    speed = np.where(over, 0.0, speed)
+    peak = np.sqrt(a * distance + speed**2 / 2)
+    cruise = np.maximum(distance - (2 * top**2 - speed**2) / (2 * a), 0.0) / top
+    time = time + (2 * np.minimum(peak, top) - speed) / a + cruise
+    return np.minimum(time, TIME_CAP)
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How each simulation stands towards its target.
+
+    Attributes:
+        offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
+        direction: (N, 3) unit vectors of that path. closing: (N,) speed along it.
+        returning: (N,) whether the target is the depot.
+    """
+
+    offset: Array
+    distance: Array
+    direction: Array
+    closing: Array
+    returning: Bools
+
+
+def potential(world: World, approach: Approach, gamma: float) -> Array:
+    """Minus the discounted time to go (N,): the return of flying on and arriving on time."""
+    slots = time_to_go(world, approach.distance, approach.closing) / world.slot
+    return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
+
+
+def time_reward(
+    world: World, before: Approach, after: Approach, slot: Slot, gamma: float
+) -> Array:
+    """-slot + gamma Phi' - Phi, with Phi' = 0 on arrival; -2 flat for a crash. Shape (N,)."""
+    ahead = np.where(slot.arrived, 0.0, potential(world, after, gamma))
+    shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
+    return np.where(slot.crashed, CRASH, shaped)
+
+
+def paper_reward(
+    world: World, before: Approach, after: Approach, slot: Slot, gamma: float
+) -> Array:
+    """r1 + r2 on the way to an item, r3 + r4 on the way home, r5 and r6 charged per slot. (N,)."""
+    reward = -np.linalg.norm(after.offset, axis=-1)
+    reward = reward + np.where(slot.arrived, np.where(before.returning, R4, R2), 0.0)
+    return np.asarray(reward + R5 * slot.contact + R6 * slot.outside)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A reward and whether a crash ends the episode under it."""
+
+    reward: Callable[[World, Approach, Approach, Slot, float], Array]
+    crash_ends: bool
+
+
+# Under `paper` a crash that ended the episode would be the best policy, since r1 costs hundreds
+# a slot: there it is charged per slot and motion goes on by (2)-(3).
+PRESETS = {"time": Preset(time_reward, True), "paper": Preset(paper_reward, False)}
