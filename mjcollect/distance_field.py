@@ -14,6 +14,8 @@ from mjcollect.geometry import Array, segment_clear
 from mjcollect.reachability import blocked_grid
 from mjcollect.scene import Scene
 
+CROWDING = 0.5  # a metre right at a box or at the bounds counts as 1 + CROWDING
+ROOM = 25.0  # metres from which on it counts as one
 RISE = 2.0  # slope of the field inside blocked cells: uphill, away from the nearest free one
 
 
@@ -37,8 +39,16 @@ class DistanceField:
         low, high = scene.bounds
         count = np.maximum(np.ceil((high - low) / np.max(high - low) * cells), 4).astype(int)
         self._scene, self._low, self.h = scene, low, (high - low) / count
-        self._shape = tuple(int(n) + 1 for n in count)
-        blocked = blocked_grid(scene.bounds, scene.obstacles, scene.uav_radius, self._shape)
+        first, last = np.zeros(3, dtype=int), count
+        if within is not None:  # only the nodes around the ellipsoid
+            reach = _half_widths(*within, aim)
+            middle = (within[0] + aim) / 2
+            first = np.clip(np.floor((middle - reach - low) / self.h).astype(int), 0, count - 1)
+            last = np.clip(np.ceil((middle + reach - low) / self.h).astype(int), first + 1, count)
+            self._low = low + first * self.h
+        self._shape = tuple(int(n) + 1 for n in last - first)
+        bounds = np.stack([self._low, self._low + (last - first) * self.h])
+        blocked = blocked_grid(bounds, scene.obstacles, scene.uav_radius, self._shape)
         straight = self._straight(aim)
         outside = None
         if within is not None:
@@ -54,12 +64,24 @@ class DistanceField:
         else:
             closed = blocked if outside is None else blocked | outside
             front = np.ma.MaskedArray(straight - ball, closed)
-            distance = np.ma.filled(skfmm.distance(front, dx=self.h.tolist()), np.nan) + ball
+            pace = 1.0 / (1.0 + CROWDING * self._crowding(blocked))
+            distance = skfmm.travel_time(front, pace, dx=self.h.tolist())
+            distance = np.ma.filled(distance, np.nan) + ball
             inside = tuple(near[seen].T)
             distance[inside] = straight[inside]
             self._distance = distance.astype(np.float32)
         self._free = np.isfinite(self._distance)
         self._filled = self._fill(outside).reshape(-1)
+
+    def _crowding(self, blocked: np.ndarray) -> np.ndarray:
+        """How near boxes or bounds are: 1 at them, 0 from ROOM metres on."""
+        gap = ndimage.distance_transform_edt(~blocked, sampling=self.h)
+        low, high = self._scene.bounds
+        for axis in range(3):
+            at = self._low[axis] + self.h[axis] * np.arange(self._shape[axis])
+            wall = np.minimum(at - low[axis], high[axis] - at)
+            gap = np.minimum(gap, np.expand_dims(wall, [k for k in range(3) if k != axis]))
+        return np.asarray(np.clip(1.0 - gap / ROOM, 0.0, 1.0))
 
     def _straight(self, point: Array) -> Array:
         square = [
@@ -138,3 +160,11 @@ class DistanceField:
         slope = np.nan_to_num(slope, nan=-np.inf)
         best = np.unravel_index(np.argmax(slope), slope.shape)
         return tuple(near[best]) if slope[best] > 0 else None
+
+
+def _half_widths(focus: Array, total: float, aim: Array) -> Array:
+    """Half widths (3,) of the box around the ellipsoid with foci `focus`, `aim`."""
+    axis = aim - focus
+    focal = float(np.linalg.norm(axis))
+    minor = (max(total, focal) ** 2 - focal**2) / 4
+    return np.asarray(np.sqrt(minor + axis**2 / 4))

@@ -123,6 +123,12 @@ class Episodes:
         self.crashed[which] = False
         self._approach = self._look()
 
+    def load(self, state: dict[str, Array]) -> None:
+        """Go on from saved attributes q, v, target, collected, steps and crashed."""
+        for name, value in state.items():
+            setattr(self, name, value)
+        self._approach = self._look()
+
     def begin_slot(self, action: Array) -> Array:
         """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
         goal, tolerance = self._goal[self.target], self._tolerance[self.target]

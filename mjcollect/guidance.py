@@ -15,7 +15,8 @@ from mjcollect.scene import Scene
 
 COARSE, FINE = 100, 200  # cells along the longest axis: 10 m and 5 m in a 1 km cube
 FINE_SLACK = 60.0  # metres by which ways through the finer field may be longer than the coarse one
-CLEARANCE = 0.5  # metres beyond the body's radius for the goal's line of sight
+CLEARANCE = 0.5  # metres beyond the body kept by an aim
+SIGHT_CLEARANCE = 3.0  # metres beyond the body for the line of sight to the aim
 
 
 class GuidanceError(ValueError):
@@ -44,7 +45,7 @@ class Guidance:
         self.scene, self.node, self.start = scene, node, start
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
         self.aim = _feasible_aim(scene, self.goal, self.tolerance)
-        self._keep = inflate(scene.obstacles, scene.uav_radius + CLEARANCE)
+        self._keep = inflate(scene.obstacles, scene.uav_radius + SIGHT_CLEARANCE)
         self._fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
         within = None
         if self._fields[0].entry(start) is not None:

@@ -21,7 +21,7 @@ JOINTS = ("quadrotor/x", "quadrotor/y", "quadrotor/z")
 ACTUATORS = ("quadrotor/ax", "quadrotor/ay", "quadrotor/az")
 
 OBSTACLE_RGBA = np.array(
-    [[0.60, 0.67, 0.76, 1.0], [0.70, 0.68, 0.64, 1.0], [0.52, 0.60, 0.66, 1.0]]
+    [[0.62, 0.70, 0.80, 1.0], [0.78, 0.74, 0.66, 1.0], [0.54, 0.65, 0.70, 1.0]]
 )
 # Bright on the grey-blue world and apart for the colour-blind (Okabe and Ito).
 ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
@@ -136,8 +136,8 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
     root.visual.quality.shadowsize = 0
     getattr(root.visual, "global").offwidth = 1920
     getattr(root.visual, "global").offheight = 1080
-    root.visual.headlight.ambient = (0.35, 0.35, 0.35)
-    root.visual.headlight.diffuse = (0.35, 0.35, 0.35)
+    root.visual.headlight.ambient = (0.50, 0.50, 0.50)
+    root.visual.headlight.diffuse = (0.30, 0.30, 0.30)
     root.visual.headlight.specular = (0.0, 0.0, 0.0)
     root.asset.add(
         "texture", name="sky", type="skybox", builtin="gradient", width=256, height=256,
@@ -146,7 +146,7 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
     # Cells of 50 m on the ground and of 20 m on the boxes show speed and size.
     root.asset.add(
         "texture", name="ground", type="2d", builtin="checker", width=512, height=512,
-        rgb1=(0.42, 0.47, 0.44), rgb2=(0.45, 0.50, 0.47), mark="edge", markrgb=(0.56, 0.61, 0.58),
+        rgb1=(0.52, 0.57, 0.53), rgb2=(0.56, 0.61, 0.57), mark="edge", markrgb=(0.66, 0.71, 0.67),
     )  # fmt: skip
     root.asset.add(
         "material", name="ground", texture="ground", texuniform=True, texrepeat=(0.01, 0.01),

@@ -25,7 +25,9 @@ DEPOT = -1
 _GRIDS = (50, 100, 200)  # cells along the longest side of the bounds, tried in turn
 _LOOKS = 100  # nearby free cells that a node between blocked ones looks for
 _MAX_CELLS = 4_000_000  # of an exact decomposition; about half a second
+_MANY_BOXES = 78  # two lines a box and axis: as many fit for certain
 _GROWTH = 3.0  # from one window of the proof to the next
+_WIDEST = 0.1  # of the bounds: half the side of an item's last window
 # Which axes a box is grown along, by radius / sqrt(their number): each such box lies within
 # `radius` of the original.
 _ALL_SUBSETS = np.array([axes for axes in product((0.0, 1.0), repeat=3) if any(axes)])
@@ -64,15 +66,19 @@ def blocked_grid(
 
 
 def walled_in(scene: Scene) -> list[int]:
-    """Nodes proved to be walled in: items cut off from the depot, or [-1] if all of them are."""
+    """Nodes proved to be walled in: items cut off from the depot.
+
+    It is [-1] instead if all are and the depot's is the smaller part of the space.
+    """
     suspects = _unconnected(scene)
     if not suspects:
         return []
-    pocket = _pocket(scene, DEPOT)
-    if pocket is None:
-        return [item for item in suspects if _pocket(scene, item) is not None]
-    cut = [item for item in suspects if not np.any(pocket.near(scene.items[item], scene.epsilon))]
-    return [DEPOT] if len(cut) == len(scene.items) else cut
+    home = _home(scene)
+    cut = [item for item in suspects if not np.any(home.near(scene.items[item], scene.epsilon))]
+    small = home.volume < float(np.prod(scene.bounds[1] - scene.bounds[0])) / 2
+    if small and len(cut) == len(scene.items):
+        return [DEPOT]
+    return [item for item in suspects if item in cut or _enclosed(scene, item)]
 
 
 # Evidence: the grids
@@ -140,42 +146,60 @@ class _Pocket:
     lines: list[Array]
     cells: Mask
 
+    @property
+    def volume(self) -> float:
+        """In cubic metres."""
+        x, y, z = (np.diff(line) for line in self.lines)
+        return float(np.einsum("ijk,i,j,k", self.cells.astype(float), x, y, z))
+
     def near(self, point: Array, reach: float) -> Mask:
-        """Its cells that come within `reach` of a point."""
-        return self.cells & (_square_gap(self.lines, point) <= reach**2)
+        """Its closed cells that come within `reach` of a point."""
+        x, y, z = (
+            np.maximum(np.maximum(line[:-1] - at, at - line[1:]), 0.0) ** 2
+            for line, at in zip(self.lines, point, strict=True)
+        )
+        return self.cells & (x[:, None, None] + y[:, None] + z <= reach**2)
 
 
-def _square_gap(lines: list[Array], point: Array) -> Array:
-    """Squared distance from a point to every closed cell."""
-    x, y, z = (
-        np.maximum(np.maximum(line[:-1] - at, at - line[1:]), 0.0) ** 2
-        for line, at in zip(lines, point, strict=True)
-    )
-    return np.asarray(x[:, None, None] + y[:, None] + z)
+def _home(scene: Scene) -> _Pocket:
+    """Space around the depot that contains all that can be reached from it."""
+    half = 2.0 * scene.uav_radius
+    while True:
+        pocket, leaves = _component(scene, scene.depot, 0.0, half)
+        if not leaves:
+            return pocket
+        half *= _GROWTH
 
 
-def _pocket(scene: Scene, node: int) -> _Pocket | None:
-    """The enclosed free space around a node (without the depot, for an item); None if not proved.
+def _enclosed(scene: Scene, item: int) -> bool:
+    """Whether a window around an item proves it cut off.
+
+    A small window has few boxes, so their shapes are exact there; cages beyond show in `_home`.
+    """
+    half = 2.0 * (scene.epsilon + scene.uav_radius)
+    while half < _WIDEST * np.max(scene.bounds[1] - scene.bounds[0]):
+        pocket, leaves = _component(scene, scene.items[item], scene.epsilon, half)
+        if not leaves:
+            return not np.any(pocket.near(scene.depot, 0.0))
+        half *= _GROWTH
+    return False
+
+
+def _component(scene: Scene, point: Array, reach: float, half: float) -> tuple[_Pocket, bool]:
+    """Free space that holds what can be reached from a ball without leaving a window around it.
 
     Closed free cells count as connected where they share a corner, so no path is missed.
+
+    Returns:
+        The space, and whether it touches a side of the window that is not one of the bounds.
     """
-    point = scene.point(node)
-    reach = 0.0 if node == DEPOT else scene.epsilon
-    half = 2.0 * (reach + scene.uav_radius)
-    while True:
-        low = np.maximum(point - half, scene.bounds[0])
-        high = np.minimum(point + half, scene.bounds[1])
-        lines, free = _decompose(scene, low, high)
-        if free is None:
-            return None
-        labels = _label(free, corners=True)
-        start = (_square_gap(lines, point) <= reach**2) & free
-        cells = np.isin(labels, np.unique(labels[start])) & free
-        if node != DEPOT and np.any(cells & (_square_gap(lines, scene.depot) <= 0.0)):
-            return None
-        if not _leaves(cells, low > scene.bounds[0], high < scene.bounds[1]):
-            return _Pocket(lines, cells)
-        half *= _GROWTH
+    low = np.maximum(point - half, scene.bounds[0])
+    high = np.minimum(point + half, scene.bounds[1])
+    lines, free = _decompose(scene, low, high)
+    labels = _label(free, corners=True)
+    start = _Pocket(lines, free).near(point, reach)
+    cells = np.isin(labels, np.unique(labels[start])) & free
+    return _Pocket(lines, cells), _leaves(cells, low > scene.bounds[0], high < scene.bounds[1])
 
 
 def _leaves(cells: Mask, open_low: Mask, open_high: Mask) -> bool:
@@ -187,22 +211,30 @@ def _leaves(cells: Mask, open_low: Mask, open_high: Mask) -> bool:
     return False
 
 
-def _decompose(scene: Scene, low: Array, high: Array) -> tuple[list[Array], Mask | None]:
-    """Lines and free cells of a window; no cells if there would be too many."""
+def _decompose(scene: Scene, low: Array, high: Array) -> tuple[list[Array], Mask]:
+    """Lines and free cells of a window.
+
+    Where the cells would be too many, first the boxes' shapes get cruder, then small boxes are
+    left out: both only add free space.
+    """
     near = np.all(
         (scene.obstacles[:, 0] - scene.uav_radius <= high)
         & (scene.obstacles[:, 1] + scene.uav_radius >= low),
         axis=1,
     )
-    for subsets in (_ALL_SUBSETS, _ONE_SUBSET):
-        boxes = _inner_boxes(scene.obstacles[near], scene.uav_radius, subsets)
-        boxes = np.clip(boxes, low, high)
+    obstacles = scene.obstacles[near]
+    x, y, z = (obstacles[:, 1] - obstacles[:, 0]).T
+    largest = np.argsort(-(x * y + y * z + z * x), kind="stable")[:_MANY_BOXES]
+    for kept, subsets in (
+        (obstacles, _ALL_SUBSETS),
+        (obstacles, _ONE_SUBSET),
+        (obstacles[largest], _ONE_SUBSET),
+    ):
+        boxes = np.clip(_inner_boxes(kept, scene.uav_radius, subsets), low, high)
         lines = [np.unique([low[k], high[k], *boxes[:, :, k].ravel()]) for k in range(3)]
         shape = tuple(len(line) - 1 for line in lines)
         if np.prod(shape, dtype=float) <= _MAX_CELLS:
             break
-    else:
-        return lines, None
     free = np.ones(shape, dtype=bool)
     for box in boxes:
         free[

@@ -134,11 +134,14 @@ _FIXES = {
 def _from_pydantic(error: ValidationError) -> SceneError:
     """The first problem as field, value and fix."""
     problem = error.errors(include_url=False)[0]
-    field = ""
-    for part in problem["loc"]:
-        field += f"[{part}]" if isinstance(part, int) else f"{'.' if field else ''}{part}"
-    kind = problem["type"]
-    value = "(absent)" if kind == "missing" else problem["input"]
+    place, kind = list(problem["loc"]), problem["type"]
     if kind == "missing" and isinstance(problem["input"], list):
+        place.pop()  # the point, not the coordinate that it lacks
+    field = ""
+    for part in place:
+        field += f"[{part}]" if isinstance(part, int) else f"{'.' if field else ''}{part}"
+    if len(place) < len(problem["loc"]):
         return SceneError(field, problem["input"], "a point needs three numbers [x, y, z]")
-    return SceneError(field, value, _FIXES.get(kind, problem["msg"].replace("Input ", "")))
+    value = "(absent)" if kind == "missing" else problem["input"]
+    fix = _FIXES.get(kind, problem["msg"].replace("Input ", ""))
+    return SceneError(field or "scene file", value, fix)

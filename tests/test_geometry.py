@@ -104,7 +104,7 @@ def test_inflate():
 def test_clear_means_at_least_the_radius_away_from_every_box():
     boxes = np.stack([UNIT, UNIT + 10])
     start = np.array([[-5, 0.5, 1.5], [-5, 0.5, 1.49], [-5, 10.5, 11.2]])
-    end = start + [20, 0, 0]
+    end = start + np.array([20, 0, 0])
     assert segment_clear(start, end, boxes, 0.5).tolist() == [True, False, False]
     assert segment_clear(start, end, boxes, 0.1).tolist() == [True, True, True]
 

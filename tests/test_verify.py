@@ -1,0 +1,333 @@
+import json
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mjcollect.geometry import segment_box_distance
+from mjcollect.scene import Scene
+from mjcollect.trajectory import Trajectory
+from mjcollect.verify import Violation, _clearance, verify
+
+STEP, SLOT_ROWS = 0.02, 10
+ITEMS = [[300.0, 0, 0], [300, 400, 0], [0, 400, 300]]
+ORDER = (0, 1, 2)
+WALL = [[100.0, 0.6, 0], [200, 10, 10]]  # 0.6 m beside the first leg
+
+
+def scene(**fields) -> Scene:
+    fields = {"obstacles": [WALL]} | fields
+    return Scene("t", 0, [[0] * 3, [1000] * 3], [0] * 3, ITEMS, **fields)
+
+
+def bang_bang(distance: float) -> np.ndarray:
+    """Accelerations (R,) along a line, rest to rest over exactly `distance`."""
+    peak = min(50.0, np.sqrt(20.0 * distance))
+    half = int(np.ceil(peak / 20.0 / STEP))
+    cruise = max(0, int(np.floor(distance / (peak * STEP))) - half)
+    # Displacement is a STEP^2 half (half + cruise): scaled down to fit exactly.
+    a = distance / (STEP**2 * half * (half + cruise))
+    while a > 20.0 or a * half * STEP > 50.0:
+        cruise += 1
+        a = distance / (STEP**2 * half * (half + cruise))
+    return np.concatenate([np.full(half, a), np.zeros(cruise), np.full(half, -a)])
+
+
+def fly(points) -> Trajectory:
+    """Straight rest-to-rest flight through points, by the recursion of the contract."""
+    points = np.asarray(points, float)
+    a = []
+    for start, end in pairwise(points):
+        length = np.linalg.norm(end - start)
+        a.append(bang_bang(length)[:, None] * (end - start) / length)
+    a = np.concatenate([*a, np.zeros((1, 3))])
+    v = np.concatenate([np.zeros((1, 3)), np.cumsum(a[:-1] * STEP, axis=0)])
+    v[np.linalg.norm(v, axis=1) < 1e-9] = 0.0
+    x = points[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(v[1:] * STEP, axis=0)])
+    return Trajectory(np.arange(len(a)) * STEP, x, v, a)
+
+
+def mission(order=ORDER) -> Trajectory:
+    return fly([[0, 0, 0], *(ITEMS[item] for item in order), [0, 0, 0]])
+
+
+def kinds(found: list[Violation]) -> set[str]:
+    return {violation.kind for violation in found}
+
+
+def edited(flight: Trajectory, part: str, row: int, value) -> Trajectory:
+    array = getattr(flight, part).copy()
+    array[row] = value
+    return replace(flight, **{part: array})
+
+
+def cut(flight: Trajectory, first: int, last: int) -> Trajectory:
+    """Rows first..last, renumbered from t = 0, at the end without a push."""
+    a = flight.a[first:last].copy()
+    a[-1] = 0.0
+    t = np.arange(last - first) * STEP
+    return Trajectory(t, flight.x[first:last], flight.v[first:last], a)
+
+
+def test_the_unbroken_mission_is_a_success():
+    flight = mission()
+    assert np.linalg.norm(flight.v, axis=1).max() > 49  # it does reach the limits
+    assert verify(scene(), flight, ORDER) == []
+
+
+@pytest.mark.parametrize("segment", range(4))
+def test_each_unbroken_segment_is_a_success(segment):
+    nodes = [[0.0] * 3, *ITEMS, [0.0] * 3]
+    flight = fly(nodes[segment : segment + 2])
+    assert verify(scene(), flight, ORDER, segment=segment) == []
+    assert kinds(verify(scene(), flight, ORDER, segment=(segment + 1) % 4)) >= {"start"}
+
+
+def test_speed():
+    found = verify(scene(v_max=49.0), mission(), ORDER)
+    assert kinds(found) == {"speed"}
+    assert all(49.0 < violation.value <= 50.0 for violation in found)
+    assert [violation.segment for violation in found] == [0, 1, 2, 3]  # once a leg
+
+
+def test_acceleration():
+    flight = mission()
+    found = verify(scene(a_max=19.9), flight, ORDER)
+    assert kinds(found) == {"acceleration"}
+    assert all(violation.limit == 19.9 and violation.value > 19.9 for violation in found)
+    slack = np.linalg.norm(flight.a, axis=1).max() - 5e-7
+    assert verify(scene(a_max=slack), flight, ORDER) == []
+
+
+def test_bounds_are_inclusive_with_a_hair():
+    low = Scene("t", 0, [[0] * 3, [1000, 1000, 1000]], [0] * 3, ITEMS, [])
+    flight = fly([[0, 0, 0], ITEMS[0]])
+    shift = np.array([0.0, 0.0, 1.0])
+    for depth, expected in ((5e-7, set()), (5e-5, {"bounds"})):
+        dipped = replace(flight, x=flight.x - depth * shift)
+        found = verify(low, dipped, ORDER, segment=0, start=dipped.x[0])
+        assert kinds(found) == expected
+    assert found[0].value == pytest.approx(5e-5)
+    assert found[0].t == 0.0
+
+
+@pytest.mark.parametrize(("gap", "touches"), [(0.6, False), (0.5, False), (0.4999, True)])
+def test_contact_with_a_wall_beside_the_path(gap, touches):
+    wall = [[100.0, gap, 0], [200, 10, 10]]
+    found = verify(scene(obstacles=[wall]), mission(), ORDER)
+    assert kinds(found) == ({"contact"} if touches else set())
+    if touches:
+        assert len(found) == 1
+        assert found[0].value == pytest.approx(gap)
+        assert (found[0].segment, found[0].limit) == (0, 0.5)
+
+
+def test_contact_between_rows_is_found():
+    flight = fly([[0, 0, 0], ITEMS[0]])
+    row = int(np.argmax(flight.v[:, 0]))
+    ahead = (flight.x[row, 0] + flight.x[row + 1, 0]) / 2
+    # A needle that the body sweeps over, 0.3 m from both rows' spheres at a metre per row.
+    needle = [[ahead - 1e-4, 0.3, 0], [ahead + 1e-4, 0.31, 10]]
+    radius = 0.35
+    at_rows = np.linalg.norm(flight.x - np.clip(flight.x, needle[0], needle[1]), axis=1).min()
+    assert at_rows > radius
+    found = verify(scene(obstacles=[needle], uav_radius=radius), flight, ORDER, segment=0)
+    assert kinds(found) == {"contact"}
+    assert found[0].t == pytest.approx(row * STEP)
+    assert found[0].value == pytest.approx(0.3, abs=1e-3)
+
+
+def test_contact_counts_each_touch_once():
+    walls = [[[x, 0.4, 0], [x + 20.0, 10, 10]] for x in (50.0, 120.0, 220.0)]
+    found = verify(scene(obstacles=walls), mission(), ORDER)
+    assert [violation.kind for violation in found] == ["contact"] * 3
+
+
+@pytest.mark.parametrize("part", ["x", "v"])
+@pytest.mark.parametrize("row", [1, 50, -2])
+def test_state_that_does_not_follow_from_the_last(part, row):
+    flight = mission()
+    value = getattr(flight, part)[row] + [0, 0, 1e-5]
+    found = verify(scene(), edited(flight, part, row, value), ORDER)
+    assert kinds(found) == {"timestep"}
+    assert len(found) == 1
+    assert found[0].t == pytest.approx(flight.t[row] if row > 0 else flight.t[-2], abs=0.03)
+
+
+def test_wrong_acceleration_row():
+    flight = mission()
+    assert kinds(verify(scene(), edited(flight, "a", 30, [0, 0, 0]), ORDER)) == {"timestep"}
+
+
+@pytest.mark.parametrize(
+    "stretch",
+    [
+        lambda t: t * 1.01,
+        lambda t: t + 0.02,
+        lambda t: np.where(t > 3, t + 0.02, t),
+        lambda t: t + 1e-5 * (t == t[7]),
+    ],
+)
+def test_clock(stretch):
+    flight = mission()
+    found = verify(scene(), replace(flight, t=stretch(flight.t)), ORDER)
+    assert kinds(found) == {"timestep"}
+    assert len(found) == 1
+
+
+def test_missing_row():
+    flight = mission()
+    parts = {part: np.delete(getattr(flight, part), 40, axis=0) for part in "txva"}
+    assert kinds(verify(scene(), Trajectory(**parts), ORDER)) == {"timestep"}
+
+
+@pytest.mark.parametrize("part", ["t", "x", "v", "a"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_not_finite(part, value):
+    found = verify(scene(), edited(mission(), part, 25, value), ORDER)
+    assert found == [Violation("timestep", pytest.approx(0.5), 0, None, 1e-6)]
+    json.dumps(found[0].to_dict(), allow_nan=False)
+
+
+def test_start_beside_the_depot():
+    flight = fly([[0.01, 0, 0], *ITEMS, [0, 0, 0]])
+    found = verify(scene(), flight, ORDER)
+    assert kinds(found) == {"start"}
+    assert found[0].value == pytest.approx(0.01)
+    assert verify(scene(), flight, ORDER, start=np.array([0.01, 0, 0])) == []
+
+
+def test_start_in_motion():
+    flight = mission()
+    moving = cut(flight, 5, len(flight))
+    found = verify(scene(), moving, ORDER, start=moving.x[0])
+    assert kinds(found) == {"start"}
+    assert found[0].value == pytest.approx(np.linalg.norm(flight.v[5]))
+
+
+def test_flying_through_an_item_is_no_stop():
+    through = fly([[0, 0, 0], ITEMS[0], [300, 800, 0], ITEMS[2], [0, 0, 0]])
+    found = verify(scene(), through, ORDER)
+    assert kinds(found) == {"stop"}
+    assert (len(found), found[0].segment) == (1, 1)
+    assert found[0].value > 1.0  # m/s, the slowest within the ball
+    assert np.linalg.norm(through.x[round(found[0].t / STEP)] - ITEMS[1]) <= 5.0
+
+
+def test_nearly_at_rest_is_not_at_rest():
+    flight = mission()
+    row = np.flatnonzero((flight.v == 0).all(axis=1))[1]
+    # One row moves by a micron too much: the state stays within tolerance of its recursion.
+    found = verify(scene(), edited(flight, "v", row, [9e-7, 0, 0]), ORDER)
+    assert found == []
+    found = verify(scene(), edited(flight, "v", row, [1.1e-6, 0, 0]), ORDER)
+    assert kinds(found) >= {"stop"}
+
+
+@pytest.mark.parametrize(("short", "expected"), [(4.99, set()), (5.01, {"stop"})])
+def test_stop_within_epsilon(short, expected):
+    flight = fly([[0, 0, 0], [300 - short, 0, 0], *ITEMS[1:], [0, 0, 0]])
+    found = verify(scene(), flight, ORDER)
+    assert kinds(found) == expected
+    if expected:
+        assert (found[0].value, found[0].limit) == (pytest.approx(5.01, abs=1e-3), 5.0)
+    flight = fly([[0, 0, 0], [300 - short, 0, 0]])
+    assert kinds(verify(scene(), flight, ORDER, segment=0)) == expected
+
+
+def test_items_out_of_order():
+    found = verify(scene(), mission((1, 0, 2)), ORDER)
+    assert [(violation.kind, violation.value, violation.limit) for violation in found] == [
+        ("order", 1, 0)
+    ]
+    assert verify(scene(), mission((1, 0, 2)), (1, 0, 2)) == []
+
+
+def test_an_item_left_out():
+    found = verify(scene(), mission((0, 2)), ORDER)
+    assert [(violation.kind, violation.segment) for violation in found] == [("stop", 1)]
+
+
+def test_an_extra_stop_at_a_later_item_breaks_nothing():
+    assert verify(scene(), mission((1, 0, 1, 2)), ORDER) == []
+
+
+@pytest.mark.parametrize(("short", "expected"), [(4.99, set()), (5.01, {"return"})])
+def test_return_within_its_tolerance(short, expected):
+    towards = np.array(ITEMS[2]) / 500.0
+    flight = fly([[0, 0, 0], *ITEMS, short * towards])
+    assert kinds(verify(scene(), flight, ORDER)) == expected
+    assert verify(scene(return_tolerance=6.0, epsilon=1.0), flight, ORDER) == []
+
+
+def test_passing_the_depot_without_stopping():
+    flight = fly([[0, 0, 0], *ITEMS, [0, 0, 0]])
+    found = verify(scene(), cut(flight, 0, len(flight) - 3), ORDER)
+    assert kinds(found) == {"return"}
+    assert found[0].limit == 1e-6
+
+
+def test_last_row_must_not_push():
+    flight = mission()
+    found = verify(scene(), edited(flight, "a", -1, [0, 0, 1.0]), ORDER)
+    assert [(violation.kind, violation.value) for violation in found] == [("return", 1.0)]
+    single = edited(fly([[0, 0, 0], ITEMS[0]]), "a", -1, [0, 0, 1.0])
+    assert kinds(verify(scene(), single, ORDER, segment=0)) == {"stop"}
+
+
+def test_flight_cut_off_reports_what_is_left():
+    flight = mission()
+    found = verify(scene(), cut(flight, 0, 300), ORDER)
+    assert sorted(v.segment for v in found if v.kind == "stop") == [0, 1, 2]
+    assert {v.segment for v in found if v.kind == "return"} == {3}
+    assert kinds(found) == {"stop", "return"}
+
+
+def hover(rows: int, at) -> Trajectory:
+    x = np.tile(np.asarray(at, float), (rows, 1))
+    return Trajectory(np.arange(rows) * STEP, x, np.zeros_like(x), np.zeros_like(x))
+
+
+def test_a_segment_takes_a_slot_even_inside_its_ball():
+    near = Scene("t", 0, [[0] * 3, [100] * 3], [0] * 3, [[3.0, 0, 0], [0, 3.0, 0]], [])
+    assert verify(near, hover(3 * SLOT_ROWS + 1, [0, 0, 0]), (0, 1)) == []
+    assert kinds(verify(near, hover(3 * SLOT_ROWS, [0, 0, 0]), (0, 1))) == {"return"}
+    assert kinds(verify(near, hover(SLOT_ROWS, [0, 0, 0]), (0, 1), segment=0)) == {"stop"}
+    assert verify(near, hover(SLOT_ROWS + 1, [0, 0, 0]), (0, 1), segment=0) == []
+
+
+def test_one_row_inside_a_box_is_contact():
+    found = verify(scene(obstacles=[[[100.0] * 3, [200] * 3]]), hover(1, [150] * 3), ORDER)
+    assert {"contact", "start", "stop", "return"} <= kinds(found)
+
+
+def test_every_violation_is_json():
+    text = json.dumps([v.to_dict() for v in verify(scene(v_max=30.0), mission((1, 0, 2)), ORDER)])
+    assert set(json.loads(text)[0]) == {"kind", "t", "segment", "value", "limit"}
+
+
+@pytest.mark.parametrize("order", [(0, 1), (0, 1, 1), (0, 1, 3)])
+def test_bad_order_is_refused(order):
+    with pytest.raises(ValueError, match="order"):
+        verify(scene(), mission(), order)
+
+
+@pytest.mark.parametrize("segment", [-1, 4])
+def test_bad_segment_is_refused(segment):
+    with pytest.raises(ValueError, match="segment"):
+        verify(scene(), mission(), ORDER, segment=segment)
+
+
+def test_clearance_equals_the_exact_distance():
+    rng = np.random.default_rng(0)
+    low = rng.uniform(0, 900, (60, 3))
+    boxes = np.stack([low, low + rng.uniform(1, 100, (60, 3))], axis=1)
+    x = 500 + np.cumsum(rng.normal(scale=6.0, size=(3000, 3)), axis=0)
+    radius = 20.0
+    found = _clearance(x, boxes, radius)
+    ends = np.concatenate([x[1:], x[-1:]])
+    exact = segment_box_distance(x[:, None], ends[:, None], boxes).min(axis=1)
+    assert (exact < radius).sum() > 100
+    assert np.allclose(found[exact < radius], exact[exact < radius], atol=1e-9)
+    assert np.all(found[exact >= radius] >= radius)

@@ -1,0 +1,1 @@
+"""Command line programs: train, fly, evaluate. Each reads top to bottom."""

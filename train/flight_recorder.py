@@ -1,0 +1,55 @@
+"""Fly a policy once in the single dm-control environment and record every physics step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjcollect.course import Course
+from mjcollect.task import FlightTask, Physics, make_environment
+from mjcollect.trajectory import Recorder, Trajectory
+
+Policy = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A recorded flight.
+
+    Attributes:
+        trajectory: every physics step, to the first contact if there was one.
+        success: the course was finished. contacts: physics steps in contact.
+    """
+
+    trajectory: Trajectory
+    success: bool
+    contacts: int
+
+
+def fly(course: Course, policy: Policy, observation: str = "guided") -> Flight:
+    """Fly `course` from rest exactly at its start.
+
+    Args:
+        policy: observations (1, D) float32 -> actions (1, 3).
+    """
+    environment = make_environment(course, observation=observation)
+    task: FlightTask = environment.task
+    physics: Physics = environment.physics
+    step = environment.reset()
+    recorder = Recorder(physics.position(), physics.velocity(), course.scene.physics_step)
+    success, contacts = False, 0
+    while not step.last():
+        flat = np.concatenate([np.atleast_1d(part) for part in step.observation.values()])
+        step = environment.step(policy(flat.astype(np.float32)[None])[0])
+        outcome = task.outcome
+        assert outcome is not None
+        slot = outcome.slot
+        # After a contact the body bounces: the record ends with the row where it is seen.
+        rows = int(slot.first_event[0]) + 1
+        recorder.slot(physics.path[:rows], physics.speeds[:rows], task.acceleration)
+        contacts += int(slot.contact[0])
+        success = bool(outcome.success[0])
+    physics.free()
+    return Flight(recorder.trajectory(), success, contacts)

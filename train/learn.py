@@ -1,0 +1,382 @@
+"""The training loop of Algorithm 1 over N simulations at once, with evaluation and checkpoints."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from mjcollect.batch import BatchedFlightEnv, Simulations
+from mjcollect.course import Course
+from mjcollect.episode import Rules
+from train.ddpg import Learner, make_buffer, transitions
+
+
+@dataclass(frozen=True)
+class LearnConfig:
+    """Settings of the learner. Budgets count updates and environment steps, never seconds."""
+
+    updates: int = 6000
+    """Parameter updates in all (the paper's M episodes of P steps with U_2 updates each)."""
+    extra_updates: int = 6000
+    """Further updates, at most, if by then no evaluated policy has arrived from every start."""
+    envs: int = 64
+    """Simulations side by side."""
+    u1: int = 1
+    """U_1: environment operations, in every simulation, before each round of updates."""
+    u2: int = 8
+    """U_2: updates in a round."""
+    batch: int = 256
+    """Transitions in a batch B."""
+    buffer: int = 200_000
+    """Capacity of the experience replay buffer D, in transitions."""
+    width: int = 128
+    """Width of the two hidden layers of actor and critic."""
+    gamma: float = 0.99
+    """Discount factor per slot."""
+    alpha_actor: float = 1e-3
+    """alpha^(theta): learning rate of the actor at the start."""
+    alpha_critic: float = 1e-3
+    """alpha^(w): learning rate of the critic at the start."""
+    alpha_target: float = 0.005
+    """Target network learning rate."""
+    final_rate: float = 0.1
+    """Share of the learning rates left at the end, reached linearly."""
+    noise_min: float = 0.02
+    """Standard deviation of the Gaussian action noise in the calmest simulation (1 = a_max)."""
+    noise_max: float = 0.4
+    """The same in the wildest; the others lie between."""
+    demonstrations: int = 10_000
+    """Transitions of the guidance law, with noise, that start the buffer; 0 for none."""
+    guided_share: float = 0.25
+    """Share of the simulations flown by the guidance law at first; 0 for none."""
+    guided_until: float = 0.6
+    """Share of the updates after which the policy flies all simulations."""
+    eval_every: int = 500
+    """Updates between evaluations without noise."""
+    eval_episodes: int = 32
+    """Starts of an evaluation: the segment's own point, then seeded ones all over its ball."""
+    threads: int = 2
+    """MuJoCo's threads."""
+    observation: str = "guided"
+    """Observation: guided or paper."""
+    reward: str = "time"
+    """Reward preset: time or paper."""
+
+    def __post_init__(self) -> None:
+        """Check what would fail late.
+
+        Raises:
+            ValueError: naming field, value and fix.
+        """
+        for field in ("updates", "envs", "u1", "u2", "batch", "width", "eval_every", "threads"):
+            if getattr(self, field) < 1:
+                raise ValueError(f"{field}: {getattr(self, field)}: must be at least 1")
+        for field in ("extra_updates", "demonstrations", "noise_min"):
+            if getattr(self, field) < 0:
+                raise ValueError(f"{field}: {getattr(self, field)}: must not be negative")
+        if self.eval_episodes < 1:
+            raise ValueError(f"eval_episodes: {self.eval_episodes}: must be at least 1")
+        if self.buffer < max(self.batch, self.envs):
+            raise ValueError(
+                f"buffer: {self.buffer}: must hold a batch of {self.batch} and one step of "
+                f"{self.envs} simulations"
+            )
+        if self.noise_max < self.noise_min:
+            raise ValueError(f"noise_max: {self.noise_max}: must be at least {self.noise_min}")
+        Rules(self.observation, self.reward, self.gamma)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A policy flown without noise from many starts.
+
+    Attributes:
+        success_rate: share of the starts from which it arrived.
+        point_success, point_time: whether and in how many seconds it arrived from the point.
+        mean_time: over the arrivals, in seconds; NaN if there were none.
+        mean_return: undiscounted return over all starts.
+    """
+
+    success_rate: float
+    point_success: bool
+    point_time: float
+    mean_time: float
+    mean_return: float
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Larger is better: arrive from the point, from everywhere, then sooner."""
+        time = self.mean_time if math.isfinite(self.mean_time) else math.inf
+        return (float(self.point_success), self.success_rate, -time)
+
+
+def stream(seed: int, name: str) -> np.random.SeedSequence:
+    """The named random stream of a seed: streams of different names are independent."""
+    return np.random.SeedSequence([seed, *name.encode()])
+
+
+def torch_seed(seed: int, name: str) -> int:
+    """Seed for a torch generator from the named stream."""
+    return int(stream(seed, name).generate_state(1, np.uint64)[0] >> 1)
+
+
+class Evaluator:
+    """Flies policies from the same starts every time."""
+
+    def __init__(self, course: Course, config: LearnConfig, seed: int) -> None:
+        """Draw the starts from the stream `evaluate`."""
+        rng = np.random.default_rng(stream(seed, "evaluate"))
+        rules = Rules(config.observation, config.reward, config.gamma)
+        self.sims = Simulations(
+            [course], config.eval_episodes, rules=rules, threads=config.threads
+        )
+        point = course.starts("point", 1, rng)
+        ball = course.starts("ball", config.eval_episodes - 1, rng)
+        self._q = np.concatenate([point[0], ball[0]])
+        self._v = np.concatenate([point[1], ball[1]])
+
+    def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
+        """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""
+        sims, count = self.sims, len(self._q)
+        sims.place(np.arange(count), self._q, self._v)
+        running = np.ones(count, dtype=bool)
+        success, slots, total = np.zeros(count, bool), np.zeros(count), np.zeros(count)
+        while running.any():
+            outcome = sims.step(policy(sims.observe().astype(np.float32)))
+            total += np.where(running, outcome.reward, 0.0)
+            success |= running & outcome.success
+            slots += running
+            running &= ~(outcome.terminated | outcome.truncated)
+        time = slots * sims.episodes.world.slot
+        return Evaluation(
+            success_rate=float(success.mean()),
+            point_success=bool(success[0]),
+            point_time=float(time[0]) if success[0] else math.nan,
+            mean_time=float(time[success].mean()) if success.any() else math.nan,
+            mean_return=float(total.mean()),
+        )
+
+    def close(self) -> None:
+        """Stop the simulations' threads."""
+        self.sims.close()
+
+
+class Trainer:
+    """Learns one segment. Iterate over `run()`; its whole state is in `state_dict()` and `buffer`.
+
+    Attributes:
+        learner, buffer, env: the parts. best: best evaluation so far; best_policy its weights.
+        rows: one dict per evaluation, the columns of metrics.csv. finished: nothing left to do. seconds: spent training, kept by the caller.
+    """
+
+    def __init__(
+        self, course: Course, config: LearnConfig, seed: int, device: str = "cpu"
+    ) -> None:
+        """Build the simulations, the networks and the random streams of `seed`."""
+        self.course, self.config, self.seed, self.device = course, config, seed, device
+        torch.manual_seed(torch_seed(seed, "torch"))
+        rules = Rules(config.observation, config.reward, config.gamma)
+        start = "spread"
+        sims = Simulations(
+            [course],
+            config.envs,
+            rules=rules,
+            start=start,
+            rng=np.random.default_rng(stream(seed, "start")),
+            threads=config.threads,
+        )
+        self.env = BatchedFlightEnv(sims, device=device)
+        size = self.env.observation_spec["observation"].shape[-1]
+        self.learner = Learner(
+            size,
+            width=config.width,
+            gamma=config.gamma,
+            alpha_actor=config.alpha_actor,
+            alpha_critic=config.alpha_critic,
+            alpha_target=config.alpha_target,
+            final_rate=config.final_rate,
+            total_updates=config.updates,
+            device=device,
+        )
+        self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
+        self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
+        self.evaluator = Evaluator(course, config, seed)
+        scale = torch.linspace(config.noise_min, config.noise_max, config.envs)
+        self._scale = scale[torch.randperm(config.envs, generator=self.noise)][:, None]
+        self._guided = torch.arange(config.envs) < round(config.guided_share * config.envs)
+        self.env_steps = self.episodes = 0
+        self.rows: list[dict[str, float]] = []
+        self.best: Evaluation | None = None
+        self.best_policy: dict[str, torch.Tensor] | None = None
+        self.finished = False
+        self.seconds = 0.0
+        self._returns = torch.zeros(config.envs, 1)
+        self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
+        self._losses: list[tuple[torch.Tensor, torch.Tensor]] = []
+        self._now = self.env.reset()
+
+    def run(self) -> Iterator[int]:
+        """Train to the end of the budget, yielding the number of updates after each round."""
+        config = self.config
+        while len(self.buffer) < max(config.demonstrations, config.batch):
+            self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
+        while not self.finished:
+            for _ in range(config.u1):
+                early = self.learner.updates < config.guided_until * config.updates
+                self._operate(guided=self._guided & early)
+            before = self.learner.updates // config.eval_every
+            for _ in range(min(config.u2, self.budget - self.learner.updates)):
+                batch = self.buffer.sample().to(self.device)
+                self._losses.append(self.learner.update(batch))
+            if self.learner.updates // config.eval_every > before or self._spent:
+                self._evaluate()
+            self.finished = self._spent
+            yield self.learner.updates
+
+    @property
+    def budget(self) -> int:
+        """Updates in all; longer while no evaluated policy has arrived from every start."""
+        config = self.config
+        good = self.best is not None and self.best.success_rate == 1.0
+        if good and self.learner.updates >= config.updates:
+            return self.learner.updates
+        return config.updates + (0 if good else config.extra_updates)
+
+    @property
+    def _spent(self) -> bool:
+        return self.learner.updates >= self.budget
+
+    @torch.no_grad()
+    def _operate(self, guided: torch.Tensor) -> None:
+        """One environment operation in every simulation, stored in the buffer."""
+        step = self._now
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            step = self.learner.actor(step)
+        action = step["action"].cpu()
+        if guided.any():
+            law = torch.from_numpy(self.env.simulations.episodes.guidance_action()).float()
+            action = torch.where(guided[:, None], law, action)
+        noise = torch.randn(action.shape, generator=self.noise) * self._scale
+        step["action"] = (action + noise).clamp(-1.0, 1.0).to(self.device)
+        step, self._now = self.env.step_and_maybe_reset(step)
+        self.buffer.extend(transitions(step).cpu())
+        self.env_steps += self.config.envs
+        self._count(step["next"])
+
+    def _count(self, after: TensorDictBase) -> None:
+        self._returns += after["reward"].cpu()
+        done = after["done"].cpu().squeeze(-1)
+        for index in torch.nonzero(done).flatten().tolist():
+            self.episodes += 1
+            success, crashed = after["success"][index].item(), after["crashed"][index].item()
+            self._recent.append((self._returns[index].item(), float(success), float(crashed)))
+        self._returns[done] = 0.0
+
+    def policy(self, observation: np.ndarray) -> np.ndarray:
+        """Actions (N, 3) of the current actor, without noise."""
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            step = TensorDict({"observation": torch.from_numpy(observation)}, len(observation))
+            return np.asarray(self.learner.actor(step.to(self.device))["action"].cpu().numpy())
+
+    def _evaluate(self) -> None:
+        result = self.evaluator(self.policy)
+        if self.best is None or result.rank > self.best.rank:
+            self.best = result
+            self.best_policy = {
+                name: value.detach().cpu().clone()
+                for name, value in self.learner.actor.state_dict().items()
+            }
+        critic, actor = (
+            (float(torch.stack(losses).mean()) for losses in zip(*self._losses, strict=True))
+            if self._losses
+            else (math.nan, math.nan)
+        )
+        self._losses.clear()
+        returns, successes, crashes = (
+            (float(np.mean(column)) for column in zip(*self._recent, strict=True))
+            if self._recent
+            else (math.nan, math.nan, math.nan)
+        )
+        self.rows.append(
+            {
+                "update": self.learner.updates,
+                "env_steps": self.env_steps,
+                "episodes": self.episodes,
+                "episode_return": returns,
+                "success_rate": successes,
+                "crash_rate": crashes,
+                "critic_loss": critic,
+                "actor_loss": actor,
+                "eval_return": result.mean_return,
+                "eval_success_rate": result.success_rate,
+                "eval_time": result.point_time,
+                "eval_mean_time": result.mean_time,
+                "best_time": self.best.point_time,
+            }
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the buffer's content and the settings."""
+        episodes = self.env.simulations.episodes
+        return {
+            "networks": self.learner.loss.state_dict(),
+            "actor_optimizer": self.learner.actor_optimizer.state_dict(),
+            "critic_optimizer": self.learner.critic_optimizer.state_dict(),
+            "updates": self.learner.updates,
+            "env_steps": self.env_steps,
+            "episodes": self.episodes,
+            "noise": self.noise.get_state(),
+            "start_rng": self.env.simulations.rng.bit_generator.state,
+            "simulations": torch.from_numpy(self.env.simulations.state.copy()),
+            "episode_state": {
+                name: torch.from_numpy(getattr(episodes, name).copy())
+                for name in ("q", "v", "target", "collected", "steps", "crashed")
+            },
+            "now": self._now.to_dict(),
+            "returns": self._returns.clone(),
+            "recent": list(self._recent),
+            "losses": [tuple(pair) for pair in self._losses],
+            "rows": list(self.rows),
+            "best": None if self.best is None else dataclasses.asdict(self.best),
+            "best_policy": self.best_policy,
+            "finished": self.finished,
+            "seconds": self.seconds,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to a state of `state_dict`."""
+        self.learner.loss.load_state_dict(state["networks"])
+        self.learner.actor_optimizer.load_state_dict(state["actor_optimizer"])
+        self.learner.critic_optimizer.load_state_dict(state["critic_optimizer"])
+        self.learner.updates = state["updates"]
+        self.env_steps, self.episodes = state["env_steps"], state["episodes"]
+        self.noise.set_state(state["noise"])
+        sims = self.env.simulations
+        sims.rng.bit_generator.state = state["start_rng"]
+        sims.state = state["simulations"].numpy().copy()
+        sims.episodes.load(
+            {name: value.numpy().copy() for name, value in state["episode_state"].items()}
+        )
+        self._now = TensorDict(state["now"], batch_size=self.env.batch_size, device=self.device)
+        self._returns = state["returns"].clone()
+        self._recent.clear()
+        self._recent.extend(tuple(entry) for entry in state["recent"])
+        self._losses = [tuple(pair) for pair in state["losses"]]
+        self.rows = list(state["rows"])
+        self.best = None if state["best"] is None else Evaluation(**state["best"])
+        self.best_policy = state["best_policy"]
+        self.finished, self.seconds = state["finished"], state["seconds"]
+
+    def close(self) -> None:
+        """Stop all simulation threads."""
+        self.env.close()
+        self.evaluator.close()

@@ -1,0 +1,221 @@
+"""Run folders: opened only when safe, written so that they are never half there, and resumable."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import importlib.metadata
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import torch
+from torchrl.checkpoint import Checkpoint
+
+from mjcollect.scene import Scene
+
+INTERRUPTED = 130
+BAD_INPUT = 2
+VERSIONED = ("mjcollect", "mujoco", "dm-control", "torch", "torchrl", "tensordict", "numpy", "elkai")
+# Everything a run writes; --overwrite removes these and nothing else.
+RUN_FILES = (
+    "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
+    "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
+    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "report.md",
+)  # fmt: skip
+
+
+class RunError(Exception):
+    """The run cannot start as asked. The message names the field, the value and the fix."""
+
+
+class RunFolder:
+    """One run's folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Name a folder; nothing is touched yet."""
+        self.path = Path(path)
+
+    def check(self, config: dict[str, Any], *, resume: bool, overwrite: bool) -> None:
+        """Refuse an unusable folder before any work.
+
+        Raises:
+            RunError: not a folder, not empty without --resume or --overwrite, not writable, or to
+                be resumed with other settings.
+        """
+        if resume and overwrite:
+            raise RunError("--resume and --overwrite exclude each other: give one of them")
+        if self.path.exists() and not self.path.is_dir():
+            raise RunError(f"--out: {self.path}: is a file; name a folder")
+        if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
+            if not resume:
+                raise RunError(
+                    f"--out: {self.path}: is not empty; give --resume to go on with it, "
+                    "--overwrite to start anew, or another folder"
+                )
+            self._check_same(config)
+        self._check_writable()
+
+    def _check_same(self, config: dict[str, Any]) -> None:
+        saved = self.read_json("config.json")
+        if saved is None:
+            raise RunError(
+                f"--resume: {self.path}: holds no config.json of a run; name the run's folder"
+            )
+        for key in sorted(saved.keys() | config.keys()):
+            if saved.get(key) != config.get(key):
+                raise RunError(
+                    f"--resume: {key}: {config.get(key)!r} differs from {saved.get(key)!r} in "
+                    f"{self.path / 'config.json'}; give the same value, or another --out"
+                )
+
+    def _check_writable(self) -> None:
+        parent = self.path
+        while not parent.exists():
+            parent = parent.parent
+        try:
+            with tempfile.TemporaryFile(dir=parent):
+                pass
+        except OSError as error:
+            raise RunError(
+                f"--out: {self.path}: cannot be written ({error.strerror}); choose another folder"
+            ) from None
+
+    def create(self, config: dict[str, Any], scene: Scene, *, overwrite: bool) -> None:
+        """Make the folder with config.json, command.txt and scene.json.
+
+        Raises:
+            RunError: the folder cannot be made.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
+        if overwrite:
+            for name in RUN_FILES:
+                target = self.path / name
+                if target.is_dir():
+                    shutil.rmtree(target)
+                else:
+                    target.unlink(missing_ok=True)
+        self.write("scene.json", scene.save)
+        self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
+        self.write_json("config.json", config)
+
+    def write(self, name: str, save: Callable[[Path], object]) -> None:
+        """Write a file through a temporary one and a rename: it is whole or not there."""
+        target = self.path / name
+        # Same ending as the target: some writers choose the format by it.
+        part = target.with_name(f".part-{target.name}")
+        try:
+            save(part)
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write text; see `write`."""
+        self.write(name, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, document: dict[str, Any]) -> None:
+        """Write JSON; see `write`."""
+        self.write_text(name, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+    def read_json(self, name: str) -> dict[str, Any] | None:
+        """Read JSON; None if it is not there."""
+        path = self.path / name
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+    def write_metrics(self, rows: Sequence[dict[str, float]]) -> None:
+        """Write metrics.csv, one row per evaluation; empty cells where there is no value."""
+
+        def save(part: Path) -> None:
+            with part.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+                writer.writeheader()
+                for row in rows:
+                    writer.writerow({k: "" if v != v else v for k, v in row.items()})
+
+        if rows:
+            self.write("metrics.csv", save)
+
+    # Checkpoints
+
+    def save_checkpoint(self, **components: Any) -> None:
+        """Write checkpoint/ beside the old one, then swap: one of them is always whole."""
+        new, old = self.path / ".part-checkpoint", self.path / "checkpoint.old"
+        current = self.path / "checkpoint"
+        shutil.rmtree(new, ignore_errors=True)
+        Checkpoint(**components).save(new)
+        shutil.rmtree(old, ignore_errors=True)
+        if current.exists():
+            current.rename(old)
+        new.rename(current)
+        shutil.rmtree(old, ignore_errors=True)
+
+    def load_checkpoint(self, **components: Any) -> bool:
+        """Restore the components from the last whole checkpoint; False if there is none."""
+        for name in ("checkpoint", "checkpoint.old"):
+            if (self.path / name).is_dir():
+                Checkpoint(**components).load(self.path / name)
+                return True
+        return False
+
+
+def default_folder(kind: str, *parts: str) -> Path:
+    """`runs/<kind>/<parts joined>` with the scene's name made safe for a path."""
+    name = "-".join(re.sub(r"[^\w.+-]+", "_", part).strip("._") or "scene" for part in parts)
+    return Path("runs") / kind / name
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": sys.version.split()[0]}
+    for package in VERSIONED:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[package] = importlib.metadata.version(package)
+    return found
+
+
+def one_thread() -> None:
+    """One torch thread: parallelism comes from MuJoCo's threads and from processes.
+
+    With two torch threads on a busy two-core machine, updates were twenty times slower.
+    """
+    torch.set_num_threads(1)
+
+
+@contextlib.contextmanager
+def stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
+    """Gives a function that says whether Ctrl-C was pressed; a second one ends at once."""
+    pressed = False
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            raise KeyboardInterrupt
+        pressed = True
+
+    before = signal.signal(signal.SIGINT, handle)
+    try:
+        yield lambda: pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def say(message: str) -> None:
+    """Print a line for the user, on stderr: stdout carries results."""
+    print(message, file=sys.stderr, flush=True)

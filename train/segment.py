@@ -1,0 +1,254 @@
+"""Learn to fly one segment of a tour, fly it, verify it, and leave pictures of it.
+
+    python -m train.segment --scene FILE --segment I --out DIR
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+import tyro
+from tqdm import tqdm
+
+from mjcollect.bounds import detour_bound, segment_bound
+from mjcollect.course import Course
+from mjcollect.guidance import GuidanceError
+from mjcollect.inspect_scene import first_blocked
+from mjcollect.scene import Scene, SceneError
+from mjcollect.tour import TourError, legs, plan_order
+from mjcollect.verify import verify
+from train.flight_recorder import fly
+from train.learn import LearnConfig, Trainer
+from train.runs import (
+    BAD_INPUT,
+    INTERRUPTED,
+    RunError,
+    RunFolder,
+    default_folder,
+    one_thread,
+    say,
+    stop_on_ctrl_c,
+    versions,
+)
+
+
+@dataclass(frozen=True)
+class Args:
+    """Learn to fly one segment of a tour with DDPG, fly it, verify it, film it."""
+
+    scene: str = "scenario_1"
+    """Scene file, or the name of a bundled scene."""
+    segment: int | None = None
+    """Segment of the tour, 0 (leaves the depot) to K (returns); default: the first blocked one."""
+    order: str = "lkh"
+    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    out: Path | None = None
+    """Run folder; default: runs/segment/<scene name>-segment<I>-seed<N>."""
+    seed: int = 0
+    """Seed of every random stream."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks live; simulation stays on the CPU."""
+    resume: bool = False
+    """Go on with the run in the folder."""
+    overwrite: bool = False
+    """Start anew in a folder that is not empty."""
+    video: bool = True
+    """Render segment.mp4."""
+    checkpoint_every: int = 1000
+    """Updates between checkpoints."""
+    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=LearnConfig
+    )
+    """Settings of the learner."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the program; the exit code of the contract."""
+    args = tyro.cli(Args, args=argv, prog="python -m train.segment")
+    one_thread()
+    try:
+        return train_segment(args)
+    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
+        say(f"error: {error}")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted; go on with --resume")
+        return INTERRUPTED
+
+
+def train_segment(args: Args) -> int:
+    """Learn, fly, verify, draw. Raises only before anything is written."""
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
+    if args.seed < 0:
+        raise RunError(f"--seed: {args.seed}: must not be negative")
+    if args.checkpoint_every < 1:
+        raise RunError(f"--checkpoint-every: {args.checkpoint_every}: must be at least 1")
+    scene = Scene.find(args.scene)
+    order = plan_order(scene, args.order, seed=args.seed)
+    index = first_blocked(scene, order) if args.segment is None else args.segment
+    if not 0 <= index <= len(order):
+        raise RunError(f"--segment: {index}: must be 0 to {len(order)}, the tour's last")
+    config = {
+        "program": "train.segment",
+        "scene": scene.name,
+        "order": list(order),
+        "order_method": args.order,
+        "segment": index,
+        "seed": args.seed,
+        "device": args.device,
+        "learn": dataclasses.asdict(args.learn),
+    }
+    folder = RunFolder(
+        args.out or default_folder("segment", scene.name, f"segment{index}", f"seed{args.seed}")
+    )
+    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    if args.resume and folder.read_json("segment.json") is not None:
+        return _report(folder, args.video)
+    if args.resume and (saved := folder.path / "scene.json").is_file():
+        if Scene.load(saved) != scene:
+            raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
+    say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
+    course = Course.segment(scene, order, index)
+    folder.create(config, scene, overwrite=args.overwrite)
+    trainer = Trainer(course, args.learn, args.seed, args.device)
+    try:
+        if not _learn(trainer, folder, args):
+            say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
+            return INTERRUPTED
+        _finish(trainer, folder, scene, order, index)
+    finally:
+        trainer.close()
+    return _report(folder, args.video)
+
+
+def _learn(trainer: Trainer, folder: RunFolder, args: Args) -> bool:
+    """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
+    parts: dict[str, Any] = {"trainer": trainer, "buffer": trainer.buffer}
+    if args.resume and folder.load_checkpoint(**parts):
+        say(f"resuming after {trainer.learner.updates} updates")
+    goal = segment_bound(trainer.course.scene, *trainer.course.nodes)
+    saved, begun, before = trainer.learner.updates, time.monotonic(), trainer.seconds
+    with stop_on_ctrl_c() as stopped, tqdm(unit="update", total=args.learn.updates) as bar:
+        bar.update(trainer.learner.updates)
+        for updates in trainer.run():
+            bar.total = max(args.learn.updates, updates if trainer.finished else trainer.budget)
+            bar.update(updates - bar.n)
+            trainer.seconds = before + time.monotonic() - begun
+            if trainer.rows:
+                bar.set_postfix_str(_progress(trainer.rows[-1], goal), refresh=False)
+            if updates - saved >= args.checkpoint_every or stopped() or trainer.finished:
+                folder.save_checkpoint(**parts)
+                folder.write_metrics(trainer.rows)
+                saved = updates
+            if stopped() and not trainer.finished:
+                return False
+    return True
+
+
+def _progress(row: dict[str, float], bound: float) -> str:
+    time_ = f"{row['eval_time']:.1f}s" if math.isfinite(row["eval_time"]) else "-"
+    return (
+        f"return {row['episode_return']:.2f}, success {row['eval_success_rate']:.0%}, "
+        f"time {time_} (bound {bound:.1f}s)"
+    )
+
+
+def _finish(
+    trainer: Trainer, folder: RunFolder, scene: Scene, order: tuple[int, ...], index: int
+) -> None:
+    """Fly the best policy, judge it, and write every file but the video; segment.json last."""
+    from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
+
+    frm, to = legs(order)[index]
+    if trainer.best_policy is not None:
+        trainer.learner.actor.load_state_dict(trainer.best_policy)
+    flight = fly(trainer.course, trainer.policy, trainer.config.observation)
+    violations = verify(scene, flight.trajectory, order, segment=index)
+    success = flight.success and not violations
+    seconds = flight.trajectory.duration if success else None
+    bound = segment_bound(scene, frm, to)
+    detour = detour_bound(scene, frm, to, trainer.course.guidance[0].length)
+    folder.write_metrics(trainer.rows)
+    folder.write(
+        "policy.pt",
+        lambda part: torch.save(
+            {
+                "actor": trainer.learner.actor.state_dict(),
+                "width": trainer.config.width,
+                "observation": trainer.config.observation,
+            },
+            part,
+        ),
+    )
+    folder.write("trajectory.csv", flight.trajectory.save)
+    ways = (scene, flight.trajectory, order, index)
+    folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
+    folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
+    metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
+    folder.write(
+        "learning.png", lambda part: plot_learning(part, metrics, bound=bound, detour=detour)
+    )
+    folder.write_json(
+        "segment.json",
+        {
+            "scene": scene.name,
+            "segment": index,
+            "order": list(order),
+            "from": frm,
+            "to": to,
+            "time": seconds,
+            "lower_bound": bound,
+            "ratio": seconds / bound if seconds is not None and bound > 0 else None,
+            "detour_time": detour,
+            "success": success,
+            "success_rate": trainer.best.success_rate if trainer.best else 0.0,
+            "contacts": flight.contacts,
+            "violations": [violation.to_dict() for violation in violations],
+            "train_seconds": trainer.seconds,
+            "env_steps": trainer.env_steps,
+            "updates": trainer.learner.updates,
+            "seed": trainer.seed,
+            "versions": versions(),
+        },
+    )
+
+
+def _report(folder: RunFolder, video: bool) -> int:
+    """Render what is missing, print the result; 0 if it is a success."""
+    result = folder.read_json("segment.json")
+    assert result is not None
+    if video and not (folder.path / "segment.mp4").is_file():
+        from mjcollect.render import render_in_child
+
+        reason = render_in_child(folder.path)
+        if reason:
+            say(f"no video: {reason}")
+    where = f"{_legend(result['order'], result['segment'])}, {os.path.relpath(folder.path)}"
+    if result["success"]:
+        ratio = "" if result["ratio"] is None else f" ({result['ratio']:.3f} of the lower bound)"
+        print(
+            f"success: {result['time']:.1f} s{ratio}, detour estimate "
+            f"{result['detour_time']:.1f} s, success rate {result['success_rate']:.0%}: {where}"
+        )
+        return 0
+    reasons = ", ".join(sorted({violation["kind"] for violation in result["violations"]}))
+    print(f"no success ({reasons or 'not finished'}): {where}")
+    return 1
+
+
+def _legend(order: list[int] | tuple[int, ...], index: int) -> str:
+    names = ["depot" if node < 0 else f"item {node}" for node in legs(order)[index]]
+    return " -> ".join(names)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
