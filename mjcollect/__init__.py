@@ -16,9 +16,8 @@ _EXPORTS = {
     "SceneError": "mjcollect.scene",
     "Trajectory": "mjcollect.trajectory",
     "load": "mjcollect.task",
-    "verify": "mjcollect.verify",
 }
-__all__ = ["Scene", "SceneError", "Trajectory", "asset_path", "load", "verify"]
+__all__ = ["Scene", "SceneError", "Trajectory", "asset_path", "load"]
 
 
 def asset_path(*parts: str) -> Path:

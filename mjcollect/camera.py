@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
 from mjcollect.geometry import Array, nearest_point_offset
 from mjcollect.scene import Scene
+
+Picture = NDArray[np.uint8]  # (H, W, 3)
 
 # What the chase camera may do when a box is in the way, relative to straight behind, in degrees.
 SWING = np.array([0.0, -35.0, 35.0, -70.0, 70.0, -110.0, 110.0])
@@ -132,9 +135,7 @@ def chase_eyes(
     return x + reach[:, None] * direction, heading
 
 
-def _behind(
-    scene: Scene, x: Array, v: Array, goal: Array, fps: float
-) -> tuple[Array, Array]:
+def _behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[Array, Array]:
     """Smooth heading (F,) and the elevation (F,) of a camera straight behind, in radians."""
     ahead = goal - x
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -162,10 +163,10 @@ def _choose(
     # Clipped tilts that would look up through the ground are as bad as a box.
     below = x[:, None, 2] + distance * direction[..., 2] < scene.bounds[0, 2] + 1.0
     short = 1.0 - np.minimum(clear / distance, 1.0)
-    own = (swing / 0.7) ** 2 + (lift / 0.5) ** 2 + 12.0 * short**2 + 30.0 * (short > 0.8) + 4 * below
-    change = (
-        np.subtract.outer(swing, swing) ** 2 + np.subtract.outer(lift, lift) ** 2
-    ) / 0.15
+    own = (
+        (swing / 0.7) ** 2 + (lift / 0.5) ** 2 + 12.0 * short**2 + 30.0 * (short > 0.8) + 4 * below
+    )
+    change = (np.subtract.outer(swing, swing) ** 2 + np.subtract.outer(lift, lift) ** 2) / 0.15
     total, back = own[0], np.zeros(own.shape, dtype=int)
     for key in range(1, len(x)):
         path = total[:, None] + change
@@ -188,9 +189,7 @@ def _tilt_range() -> tuple[float, float]:
 
 def _unit(azimuth: Array, elevation: Array) -> Array:
     flat = np.cos(elevation)
-    return np.stack(
-        [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1
-    )
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
 
 def _smooth(values: Array, sigma: float) -> Array:

@@ -176,7 +176,8 @@ def plot_learning(
     twin = grid[1, 1].twinx()
     twin.spines[["top", "left"]].set_visible(False)
     twin.set_ylabel("actor loss", **LABEL)
-    _curves(twin, columns, x_name, ACTOR)
+    if "segment" not in columns:
+        _curves(twin, columns, x_name, ACTOR)
     if not twin.lines:
         twin.set_visible(False)
     for axes in grid[1]:
@@ -197,9 +198,11 @@ def _curves(axes: Any, columns: Mapping[str, Array], x_name: str, shown: list[Co
     """Draw the columns that are there, their gaps bridged."""
     segments = columns.get("segment")
     groups = [None] if segments is None else list(np.unique(segments[np.isfinite(segments)]))
-    for name, label, colour, marker in shown:
-        if name not in columns:
-            continue
+    there_are = [column for column in shown if column[0] in columns]
+    if segments is not None:  # colours tell segments apart, so one column has to do
+        there_are = sorted(there_are, key=lambda column: not column[0].startswith("eval_"))[:1]
+    for name, label, line_colour, marker in there_are:
+        colour: Any = line_colour
         for index, group in enumerate(groups):
             there = np.isfinite(columns[name]) & np.isfinite(columns[x_name])
             if group is not None:
@@ -208,11 +211,9 @@ def _curves(axes: Any, columns: Mapping[str, Array], x_name: str, shown: list[Co
                 colour = matplotlib.colormaps["viridis"](index / max(1, len(groups) - 1) * 0.92)
             if there.any():
                 x, y = columns[x_name][there], columns[name][there]
-                style = "-" if name != "crash_rate" or group is None else ":"
                 axes.plot(
                     x,
                     y,
-                    style,
                     color=colour,
                     marker=marker,
                     markersize=4,

@@ -14,20 +14,25 @@ from mjcollect.geometry import Array, segment_clear
 from mjcollect.reachability import blocked_grid
 from mjcollect.scene import Scene
 
-CROWDING = 0.5  # a metre right at a box or at the bounds counts as 1 + CROWDING
-ROOM = 25.0  # metres from which on it counts as one
+CROWDING = 0.5  # a metre right at a box or at the bounds counts as 1.5, so that ways keep clear
+ROOM = 25.0  # metres from boxes and bounds from which on it counts as one
 RISE = 2.0  # slope of the field inside blocked cells: uphill, away from the nearest free one
 
 
 class DistanceField:
-    """Distances in metres to `aim` on a grid over the bounds.
+    """Distances in metres to `aim` on a grid over the bounds, longer where it is crowded.
 
     Attributes:
         h: (3,) spacing in metres.
     """
 
     def __init__(
-        self, scene: Scene, aim: Array, cells: int, within: tuple[Array, float] | None = None
+        self,
+        scene: Scene,
+        aim: Array,
+        cells: int,
+        within: tuple[Array, float] | None = None,
+        crowding: float = CROWDING,
     ) -> None:
         """March from `aim` (3,) over `cells` cells along the longest axis.
 
@@ -35,6 +40,7 @@ class DistanceField:
             within: (focus (3,), total): only the ellipsoid with foci `focus` and `aim` and that
                 sum of distances in metres is marched; elsewhere the field is undefined. Every
                 path from `focus` of at most that length lies inside.
+            crowding: what a metre right at a box or at the bounds counts beyond one.
         """
         low, high = scene.bounds
         count = np.maximum(np.ceil((high - low) / np.max(high - low) * cells), 4).astype(int)
@@ -64,7 +70,7 @@ class DistanceField:
         else:
             closed = blocked if outside is None else blocked | outside
             front = np.ma.MaskedArray(straight - ball, closed)
-            pace = 1.0 / (1.0 + CROWDING * self._crowding(blocked))
+            pace = 1.0 / (1.0 + crowding * self._crowding(blocked))
             distance = skfmm.travel_time(front, pace, dx=self.h.tolist())
             distance = np.ma.filled(distance, np.nan) + ball
             inside = tuple(near[seen].T)

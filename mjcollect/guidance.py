@@ -30,6 +30,7 @@ class Guidance:
         goal: (3,) position of the target node. aim: (3,) point flown to: the goal, or the nearest
             point of its tolerance ball where the body fits.
         tolerance: metres within which the body must come to rest.
+        path: (P, 3) the shortest tight free path found from `start` to the aim.
     """
 
     def __init__(self, scene: Scene, node: int, start: Array) -> None:
@@ -50,19 +51,21 @@ class Guidance:
         within = None
         if self._fields[0].entry(start) is not None:
             self.path = self._descend(self._fields[0])
+            if len(self.path) == 2:
+                return
             within = (start, path_length(self.path) + FINE_SLACK)
-        if within is None or len(self.path) > 2:
-            self._fields.append(DistanceField(scene, self.aim, FINE, within))
-            if self._fields[1].entry(start) is not None:
-                finer = self._descend(self._fields[1])
-                if within is None or path_length(finer) < path_length(self.path):
-                    self.path = finer
-            elif within is None:
-                raise GuidanceError(
-                    f"no passage from {start.tolist()} to {_name(node)} was found on a grid of "
-                    f"{np.max(self._fields[1].h):.3g} m: widen the gaps between the obstacles to "
-                    "two cells, or move the item"
-                )
+        fine = DistanceField(scene, self.aim, FINE, within)
+        shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
+        if fine.entry(start) is not None:
+            self._fields.append(fine)
+            ways = [self._descend(fine), self._descend(shortest)]
+            self.path = min(ways if within is None else [self.path, *ways], key=path_length)
+        elif within is None:
+            raise GuidanceError(
+                f"no passage from {start.tolist()} to {_name(node)} was found on a grid of "
+                f"{np.max(fine.h):.3g} m: widen the gaps between the obstacles to two cells, or "
+                "move the item"
+            )
 
     @property
     def length(self) -> float:

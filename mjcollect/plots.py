@@ -14,7 +14,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
-from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
+    Line3DCollection,
+    Poly3DCollection,
+)
 
 from mjcollect.charts import (
     BLACK,
@@ -37,6 +40,15 @@ from mjcollect.trajectory import Trajectory
 __all__ = ["plot_learning", "plot_path_3d", "plot_path_top", "plot_speed"]
 
 SPEED_MAP = "viridis"
+GUIDANCE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 3)), "linewidth": 1.2}
+END: dict[str, Any] = {"color": RED, "marker": "X", "s": 45, "edgecolor": "white", "zorder": 7}
+TEXT: dict[str, Any] = {
+    "size": 10,
+    "weight": "bold",
+    "color": BLACK,
+    "bbox": {"boxstyle": "round,pad=0.18", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"},
+}
+MARGIN = 0.12  # of a segment's extent, left free around it
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 )
@@ -63,58 +75,49 @@ def plot_path_3d(
     """
     done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
-    axes: Any = figure.add_axes((0.0, 0.03, 0.86, 0.90), projection="3d", computed_zorder=False)
-    low, high = _window(scene, trajectory, done, segment, guidance_path, margin=0.12)
+    axes: Any = figure.add_axes((0.0, 0.02, 0.86, 0.93), projection="3d", computed_zorder=False)
+    low, high = _window(scene, trajectory, done, segment, guidance_path)
     for box in _clipped(scene.obstacles, low, high):
-        corners = np.array(
-            [[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-        )
-        axes.add_collection3d(Poly3DCollection(
-            corners[BOX_FACES], facecolor="#8899AA", edgecolor="#5A6672", alpha=0.16, linewidth=0.5,
-            zorder=1,
-        ))  # fmt: skip
+        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        axes.add_collection3d(
+            Poly3DCollection(
+                corners[BOX_FACES], facecolor="#8899AA", edgecolor="#5A6672", alpha=0.16,
+                linewidth=0.5, zorder=1,
+            )
+        )  # fmt: skip
     pieces, speed = _pieces(trajectory)
-    shadow = pieces.copy()
-    shadow[..., 2] = low[2]
+    shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
     axes.add_collection3d(
-        Line3DCollection(shadow, colors="#000000", alpha=0.18, linewidth=1.5, zorder=2)
+        Line3DCollection(shadow, colors="black", alpha=0.18, linewidth=1.5, zorder=2)
     )
-    lines = Line3DCollection(
-        pieces, cmap=SPEED_MAP, norm=Normalize(0, scene.v_max), linewidth=3, zorder=4
-    )
+    lines = Line3DCollection(pieces, linewidth=3, zorder=4, **_by_speed(scene))
     lines.set_array(speed)
     axes.add_collection3d(lines)
     if guidance_path is not None:
-        axes.plot(*guidance_path.T, color=BLACK, linestyle=(0, (4, 3)), linewidth=1.2, zorder=3)
+        axes.plot(*guidance_path.T, zorder=3, **GUIDANCE)
     for node, colour, marker, size in _nodes(scene, done, segment):
         point = scene.point(node)
         if np.any(point < low) or np.any(point > high):
             continue
-        axes.plot(
-            *np.stack([point, [*point[:2], low[2]]]).T,
+        foot = np.array([*point[:2], low[2]])
+        axes.plot(*np.stack([point, foot]).T, color=colour, alpha=0.5, linewidth=0.8, zorder=3)
+        axes.scatter(
+            *point,
             color=colour,
-            alpha=0.5,
-            linewidth=0.8,
-            zorder=3,
+            marker=marker,
+            s=size,
+            edgecolor="white",
+            depthshade=False,
+            zorder=6,
         )
-        axes.scatter(*point, color=colour, marker=marker, s=size, edgecolor="white", linewidth=1,
-                     depthshade=False, zorder=6)  # fmt: skip
-        axes.text(*(point + (high - low) * [0, 0, 0.025]), _label(node, order), ha="center", va="bottom",
-                  fontsize=10, fontweight="bold", color=BLACK, zorder=8, bbox=_plate())  # fmt: skip
-    axes.scatter(
-        *trajectory.x[-1],
-        color=RED,
-        marker="X",
-        s=70,
-        edgecolor="white",
-        depthshade=False,
-        zorder=7,
-    )
-    for axis, name, at in zip("xyz", "xyz", range(3), strict=True):
-        getattr(axes, f"set_{axis}lim")(low[at], high[at])
-        getattr(axes, f"set_{axis}label")(f"{name} (m)", labelpad=9, **LABEL)
-        axes.tick_params(axis=axis, labelsize=9.5)
-    axes.set_box_aspect(high - low, zoom=1.0)
+        above = point + (high - low) * [0, 0, 0.025]
+        axes.text(*above, _label(node, order), ha="center", va="bottom", zorder=8, **TEXT)
+    axes.scatter(*trajectory.x[-1], depthshade=False, **END)
+    for name, least, most in zip("xyz", low, high, strict=True):
+        getattr(axes, f"set_{name}lim")(least, most)
+        getattr(axes, f"set_{name}label")(f"{name} (m)", labelpad=9, **LABEL)
+        axes.tick_params(axis=name, labelsize=9.5)
+    axes.set_box_aspect(high - low)
     axes.view_init(elev=24, azim=-58)
     _finish(figure, path, scene, trajectory, order, segment, lines, guidance_path is not None)
     return figure
@@ -135,53 +138,51 @@ def plot_path_top(
     done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
     axes = figure.add_axes((0.075, 0.085, 0.76, 0.83))
-    low, high = _window(scene, trajectory, done, segment, guidance_path, margin=0.12)
-    top = scene.bounds[1, 2]
+    low, high = _window(scene, trajectory, done, segment, guidance_path)
+    floor, ceiling = scene.bounds[:, 2]
     for box in sorted(scene.obstacles, key=lambda box: float(box[1, 2])):
-        shade = 0.90 - 0.42 * (box[1, 2] - scene.bounds[0, 2]) / (top - scene.bounds[0, 2])
-        axes.add_patch(Rectangle(
-            tuple(box[0, :2]), *(box[1] - box[0])[:2], facecolor=str(shade), edgecolor="#5A6672",
-            alpha=0.75, linewidth=0.8, zorder=1,
-        ))  # fmt: skip
+        shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
+        width, depth = (box[1] - box[0])[:2]
+        axes.add_patch(
+            Rectangle(
+                (box[0, 0], box[0, 1]), width, depth, facecolor=str(shade), edgecolor="#5A6672",
+                alpha=0.75, linewidth=0.8, zorder=1,
+            )
+        )  # fmt: skip
     _box_heights(axes, scene, trajectory, low, high)
     pieces, speed = _pieces(trajectory)
-    lines = LineCollection(list(pieces[..., :2]), cmap=SPEED_MAP, norm=Normalize(0, scene.v_max), linewidth=3.2,
-                           capstyle="round", zorder=4)  # fmt: skip
+    flat = list(pieces[..., :2])
+    lines = LineCollection(flat, linewidth=3.2, capstyle="round", zorder=4, **_by_speed(scene))
     lines.set_array(speed)
-    axes.add_collection(
-        LineCollection(list(pieces[..., :2]), colors="white", linewidth=5.2, zorder=3)
-    )
+    axes.add_collection(LineCollection(flat, colors="white", linewidth=5.2, zorder=3))
     axes.add_collection(lines)
     _arrows(axes, trajectory, done)
     if guidance_path is not None:
-        axes.plot(
-            *guidance_path.T[:2], color=BLACK, linestyle=(0, (4, 3)), linewidth=1.2, zorder=4.5
-        )
+        axes.plot(*guidance_path.T[:2], zorder=4.5, **GUIDANCE)
+    side = (high - low)[0]
     for node, colour, marker, size in _nodes(scene, done, segment):
-        point = scene.point(node)[:2]
-        if np.any(point < low[:2]) or np.any(point > high[:2]):
+        point = scene.point(node)
+        x, y = point[:2]
+        if np.any(point[:2] < low[:2]) or np.any(point[:2] > high[:2]):
             continue
         axes.scatter(
-            *point,
-            color=colour,
-            marker=marker,
-            s=size * 1.3,
-            edgecolor="white",
-            linewidth=1.2,
-            zorder=6,
-        )
-        upper = point[1] > high[1] - 0.08 * (high[1] - low[1])
-        ha = "left" if point[0] < low[0] + 0.1 * (high[0] - low[0]) else "right" if point[0] > high[0] - 0.1 * (
-            high[0] - low[0]) else "center"  # fmt: skip
-        axes.annotate(f"{_label(node, order)}  z {scene.point(node)[2]:.0f} m", point,
-                      xytext=(0, -12 if upper else 12), textcoords="offset points", ha=ha,
-                      va="top" if upper else "bottom", fontsize=10, fontweight="bold", color=BLACK,
-                      zorder=8, bbox=_plate())  # fmt: skip
-    axes.scatter(*trajectory.x[-1, :2], color=RED, marker="X", s=45, edgecolor="white", zorder=7)
+            x, y, color=colour, marker=marker, s=1.3 * size, edgecolor="white", zorder=6,
+            clip_on=False,
+        )  # fmt: skip
+        above = y < high[1] - 0.08 * side
+        across = "center"
+        if min(x - low[0], high[0] - x) < 0.1 * side:
+            across = "left" if x - low[0] < high[0] - x else "right"
+        axes.annotate(
+            f"{_label(node, order)} · z {point[2]:.0f} m", (x, y), xytext=(0, 12 if above else -12),
+            textcoords="offset points", ha=across, va="bottom" if above else "top", zorder=8,
+            **TEXT,
+        )  # fmt: skip
+    axes.scatter(*trajectory.x[-1, :2], clip_on=False, **END)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_xlabel("x (m)", **LABEL)
     axes.set_ylabel("y (m)", **LABEL)
-    axes.grid(color="#DDDDDD", linewidth=0.6, zorder=0)
+    axes.grid(color="#DDDDDD", linewidth=0.6)
     axes.set_axisbelow(True)
     _finish(figure, path, scene, trajectory, order, segment, lines, guidance_path is not None)
     return figure
@@ -190,12 +191,12 @@ def plot_path_top(
 # Shared parts
 
 
-def _plate() -> dict[str, Any]:
-    return {"boxstyle": "round,pad=0.18", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"}
+def _by_speed(scene: Scene) -> dict[str, Any]:
+    return {"cmap": SPEED_MAP, "norm": Normalize(0, scene.v_max)}
 
 
 def _label(node: int, order: Sequence[int]) -> str:
-    """'item 3 (2nd)' style: index and place in the visiting order."""
+    """'item 3 · stop 2': index and place in the visiting order."""
     return "depot" if node < 0 else f"item {node} · stop {list(order).index(node) + 1}"
 
 
@@ -215,9 +216,12 @@ def _pieces(trajectory: Trajectory, most: int = 1500) -> tuple[Array, Array]:
 
 
 def _window(
-    scene: Scene, trajectory: Trajectory, done: Progress, segment: int | None, guidance: Array | None,
-    margin: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    scene: Scene,
+    trajectory: Trajectory,
+    done: Progress,
+    segment: int | None,
+    guidance: Array | None,
+) -> tuple[Array, Array]:
     """Limits of the picture: the bounds, or a cube that the segment fills."""
     low, high = scene.bounds[0].copy(), scene.bounds[1].copy()
     if segment is None:
@@ -225,7 +229,7 @@ def _window(
     ends = [scene.point(done.start), scene.point(done.targets[0])]
     shown = np.concatenate([trajectory.x, ends, *([] if guidance is None else [guidance])])
     least, most = shown.min(axis=0), shown.max(axis=0)
-    side = max(float(np.max(most - least)), 20 * scene.epsilon) * (1 + 2 * margin)
+    side = max(float(np.max(most - least)), 20 * scene.epsilon) * (1 + 2 * MARGIN)
     side = np.minimum(side, high - low)
     # A cube around the segment, moved back inside the bounds.
     start = np.clip((least + most) / 2 - side / 2, low, high - side)
@@ -246,7 +250,9 @@ def _nodes(scene: Scene, done: Progress, segment: int | None) -> list[tuple[int,
     for node in range(-1, len(scene.items)):
         colour = BLUE if node < 0 else GREEN if node in reached else ORANGE
         big = segment is not None and node in ends
-        drawn.append((node, colour, "s" if node < 0 else "o", 170.0 if big else 110.0 if node < 0 else 80.0))
+        drawn.append(
+            (node, colour, "s" if node < 0 else "o", 170.0 if big else 110.0 if node < 0 else 80.0)
+        )
     return drawn
 
 
@@ -255,11 +261,13 @@ def _box_heights(axes: Any, scene: Scene, trajectory: Trajectory, low: Array, hi
     nodes = np.concatenate([scene.items, scene.depot[None]])
     # Texts are wide: distances count along x a third.
     wide = np.array([1 / 3, 1.0]) / (high - low)[:2]
-    taken = np.concatenate([trajectory.x[::10], nodes, nodes + [0, 0.03 * (high - low)[1], 0]])
+    labels = nodes + np.array([0.0, 0.03, 0.0]) * (high - low)
+    taken = np.concatenate([trajectory.x[::10], nodes, labels])
     taken = taken[:, :2] * wide
-    for box in _clipped(scene.obstacles, low, high):
-        share = np.array([[0.5, 0.5], [0.5, 0.2], [0.5, 0.8], [0.3, 0.5], [0.7, 0.5]])
-        places = box[0, :2] + share * (box[1] - box[0])[:2]
+    shares = np.array([[0.5, 0.5], [0.5, 0.2], [0.5, 0.8], [0.3, 0.5], [0.7, 0.5]])
+    for box in scene.obstacles:
+        seen = np.clip(box, low, high)[:, :2]
+        places = seen[0] + shares * (seen[1] - seen[0])
         room = np.linalg.norm(places[:, None] * wide - taken, axis=-1).min(axis=1)
         edge = np.minimum(places - low[:2], high[:2] - places).min(axis=1) / (high - low)[0]
         room = np.where(edge > 0.04, room, 0.0)
@@ -305,14 +313,21 @@ def _finish(
     bar.ax.tick_params(labelsize=9.5)
 
     def dot(colour: str, marker: str) -> Line2D:
-        return Line2D(
-            [], [], color=colour, marker=marker, linestyle="", markersize=9, markeredgecolor="white"
-        )
+        style = {"color": colour, "marker": marker, "markersize": 9, "markeredgecolor": "white"}
+        return Line2D([], [], linestyle="", **style)  # type: ignore[arg-type]
 
-    handles = {"collected": dot(GREEN, "o"), "not collected": dot(ORANGE, "o"), "depot": dot(BLUE, "s"),
-               "end of flight": dot(RED, "X")}  # fmt: skip
+    handles: dict[str, Any] = {
+        "collected": dot(GREEN, "o"),
+        "not collected": dot(ORANGE, "o"),
+        "depot": dot(BLUE, "s"),
+        "end of flight": dot(RED, "X"),
+    }
     if guidance:
-        handles["shortest path"] = Line2D([], [], color=BLACK, linestyle=(0, (4, 3)), linewidth=1.2)
-    figure.legend(list(handles.values()), list(handles), loc="lower left", bbox_to_anchor=(0.845, 0.09),
-                  frameon=False, fontsize=10.5, handletextpad=0.4)  # fmt: skip
+        handles["shortest path"] = Line2D([], [], **GUIDANCE)
+    if lines.axes.name != "3d":
+        handles["box, z from–to (m)"] = Rectangle((0, 0), 1, 1, color="#AAAAAA")
+    figure.legend(
+        list(handles.values()), list(handles), loc="lower left", bbox_to_anchor=(0.845, 0.09),
+        frameon=False, fontsize=10.5, handletextpad=0.4,
+    )  # fmt: skip
     save(figure, path)

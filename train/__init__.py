@@ -1,1 +1,12 @@
 """Command line programs: train, fly, evaluate. Each reads top to bottom."""
+
+import os
+import warnings
+
+# One thread per process for the linear algebra: parallelism comes from MuJoCo's threads and from
+# processes. Must be set before NumPy and torch are imported.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL's notes on storages
+# dm_control looks for a display when it is imported and warns if there is none; training needs none.
+warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing.*")

@@ -7,7 +7,6 @@ import csv
 import importlib.metadata
 import json
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -176,9 +175,8 @@ class RunFolder:
 
 
 def default_folder(kind: str, *parts: str) -> Path:
-    """`runs/<kind>/<parts joined>` with the scene's name made safe for a path."""
-    name = "-".join(re.sub(r"[^\w.+-]+", "_", part).strip("._") or "scene" for part in parts)
-    return Path("runs") / kind / name
+    """`runs/<kind>/<parts joined by dashes>`."""
+    return Path("runs") / kind / "-".join(parts)
 
 
 def versions() -> dict[str, str]:

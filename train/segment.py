@@ -108,7 +108,7 @@ def train_segment(args: Args) -> int:
         "learn": dataclasses.asdict(args.learn),
     }
     folder = RunFolder(
-        args.out or default_folder("segment", scene.name, f"segment{index}", f"seed{args.seed}")
+        args.out or default_folder("segment", scene.slug, f"segment{index}", f"seed{args.seed}")
     )
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("segment.json") is not None:

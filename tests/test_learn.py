@@ -1,0 +1,170 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from mjcollect.bounds import detour_bound
+from mjcollect.course import Course
+from mjcollect.scene import Scene
+from train.ddpg import Learner, make_buffer
+from train.learn import Evaluation, LearnConfig, Trainer, stream
+from train.runs import RunFolder
+
+SMALL = LearnConfig(
+    updates=120, extra_updates=0, envs=8, u2=4, batch=32, buffer=2000, width=16,
+    demonstrations=400, eval_every=60, eval_episodes=3, threads=1,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def course():
+    scene = Scene(
+        name="gate",
+        seed=0,
+        bounds=[[0, 0, 0], [200, 200, 200]],
+        depot=[100, 20, 100],
+        items=[[100, 180, 100]],
+        obstacles=[[[70, 90, 60], [130, 110, 140]]],
+    )
+    return Course.segment(scene, (0,), 0)
+
+
+def weights(trainer):
+    return torch.cat([p.detach().flatten() for p in trainer.learner.actor.parameters()])
+
+
+def trained(course, config, seed=0):
+    trainer = Trainer(course, config, seed)
+    for _ in trainer.run():
+        pass
+    trainer.close()
+    return trainer
+
+
+def test_same_seed_same_policy_other_seed_another(course):
+    one, two, other = (trained(course, SMALL, seed) for seed in (3, 3, 4))
+    assert torch.equal(weights(one), weights(two))
+    assert str(one.rows) == str(two.rows)
+    assert not torch.equal(weights(one), weights(other))
+
+
+@pytest.mark.parametrize("stop_after", [1, 15, 29])
+def test_stopped_and_resumed_equals_one_go(course, tmp_path, stop_after):
+    whole = trained(course, SMALL)
+    folder = RunFolder(tmp_path)
+    first = Trainer(course, SMALL, 0)
+    for rounds, _ in enumerate(first.run(), start=1):
+        if rounds == stop_after:
+            break
+    folder.save_checkpoint(trainer=first, buffer=first.buffer)
+    first.close()
+    second = Trainer(course, SMALL, 0)
+    assert folder.load_checkpoint(trainer=second, buffer=second.buffer)
+    for _ in second.run():
+        pass
+    second.close()
+    assert torch.equal(weights(whole), weights(second))
+    assert str(whole.rows) == str(second.rows)
+    assert (whole.env_steps, whole.episodes) == (second.env_steps, second.episodes)
+    assert whole.best_policy.keys() == second.best_policy.keys()
+    for name, value in whole.best_policy.items():
+        assert torch.equal(value, second.best_policy[name])
+
+
+def test_budget_grows_only_without_success(course):
+    trainer = Trainer(course, dataclasses.replace(SMALL, extra_updates=40), 0)
+    assert trainer.budget == 160
+    trainer.best = Evaluation(1.0, True, 5.0, 5.0, 0.0)
+    assert trainer.budget == 120
+    trainer.close()
+
+
+def test_update_follows_algorithm_1():
+    """One update against the formulas of Algorithm 1 written out in plain torch."""
+    torch.manual_seed(0)
+    size, gamma, tau = 7, 0.9, 0.25
+    learner = Learner(
+        size, width=16, gamma=gamma, alpha_actor=1e-2, alpha_critic=1e-2, alpha_target=tau,
+        final_rate=1.0, total_updates=10,
+    )  # fmt: skip
+    batch = TensorDict(
+        {
+            "observation": torch.randn(32, size),
+            "action": torch.rand(32, 3) * 2 - 1,
+            "next": {
+                "observation": torch.randn(32, size),
+                "reward": torch.randn(32, 1),
+                "done": torch.ones(32, 1, dtype=torch.bool),  # time-outs too: bootstrap through
+                "terminated": torch.rand(32, 1) < 0.3,
+            },
+        },
+        [32],
+    )
+
+    def q(s, a):
+        return learner.critic(TensorDict({"observation": s, "action": a}, [32]))["state_action_value"]
+
+    def pi(s):
+        return learner.actor(TensorDict({"observation": s}, [32]))["action"]
+
+    after = batch["next"]
+    with torch.no_grad():  # at the start the targets equal the networks
+        u = after["reward"] + gamma * q(after["observation"], pi(after["observation"])) * (
+            ~after["terminated"]
+        )
+    critic_loss = (u - q(batch["observation"], batch["action"])).pow(2).mean()
+    grad = torch.autograd.grad(critic_loss, list(learner.critic.parameters()))
+    actor_loss = -q(batch["observation"], pi(batch["observation"])).mean()
+    before = [p.detach().clone() for p in learner.critic.parameters()]
+    target = learner.loss.target_value_network_params.flatten_keys().clone()
+    got_critic, got_actor = learner.update(batch)
+    torch.testing.assert_close(got_critic, critic_loss.detach())
+    torch.testing.assert_close(got_actor, actor_loss.detach())
+    for old, g, new in zip(before, grad, learner.critic.parameters(), strict=True):
+        # Adam's first step is the rate times the sign of the gradient (up to its epsilon).
+        clear = g.abs() > 1e-5
+        torch.testing.assert_close((old - new)[clear], 1e-2 * g.sign()[clear], rtol=2e-3, atol=1e-6)
+    online = learner.loss.value_network_params.flatten_keys()
+    for name, value in learner.loss.target_value_network_params.flatten_keys().items():
+        torch.testing.assert_close(value, (1 - tau) * target[name] + tau * online[name].detach())
+
+
+def test_buffer_samples_by_its_own_stream():
+    def draw():
+        buffer = make_buffer(100, 8, seed=5)
+        buffer.extend(TensorDict({"x": torch.arange(100.0)}, [100]))
+        torch.rand(3)
+        return buffer.sample()["x"]
+
+    torch.manual_seed(0)
+    first = draw()
+    torch.manual_seed(1)
+    assert torch.equal(first, draw())
+
+
+def test_streams_are_named():
+    one = np.random.default_rng(stream(0, "start")).random(4)
+    assert np.array_equal(one, np.random.default_rng(stream(0, "start")).random(4))
+    assert not np.array_equal(one, np.random.default_rng(stream(0, "noise")).random(4))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("updates", 0), ("envs", 0), ("buffer", 10), ("noise_max", 0.0), ("gamma", 1.0),
+     ("observation", "camera"), ("reward", "free"), ("eval_episodes", 0)],
+)  # fmt: skip
+def test_bad_settings_name_the_field(field, value):
+    with pytest.raises(ValueError, match=field):
+        LearnConfig(**{field: value})
+
+
+@pytest.mark.slow
+def test_learns_to_fly_round_the_gate(course):
+    """A short budget learns the small gate from everywhere, within 1.15 of the detour's time."""
+    trainer = trained(course, LearnConfig(updates=4000))
+    scene = course.scene
+    detour = detour_bound(scene, *course.nodes, course.guidance[0].length)
+    assert trainer.best.success_rate == 1.0
+    assert trainer.best.point_time <= 1.15 * detour

@@ -1,0 +1,104 @@
+import signal
+
+import pytest
+import torch
+
+from mjcollect.scene import Scene
+from train.runs import RunError, RunFolder, stop_on_ctrl_c
+
+CONFIG = {"program": "test", "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.find("scenario_1")
+
+
+@pytest.fixture
+def folder(tmp_path, scene):
+    folder = RunFolder(tmp_path / "run")
+    folder.check(CONFIG, resume=False, overwrite=False)
+    folder.create(CONFIG, scene, overwrite=False)
+    return folder
+
+
+def test_check_touches_nothing(tmp_path):
+    RunFolder(tmp_path / "a" / "b").check(CONFIG, resume=False, overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_folder_is_refused_and_left_alone(folder):
+    before = (folder.path / "config.json").read_text()
+    with pytest.raises(RunError, match="is not empty.*--resume.*--overwrite"):
+        folder.check(CONFIG, resume=False, overwrite=False)
+    assert (folder.path / "config.json").read_text() == before
+
+
+def test_resume_with_other_settings_names_the_difference(folder):
+    folder.check(CONFIG, resume=True, overwrite=False)
+    with pytest.raises(RunError, match="seed: 2 differs from 1"):
+        folder.check(CONFIG | {"seed": 2}, resume=True, overwrite=False)
+
+
+def test_resume_of_a_strange_folder_is_refused(tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(RunError, match=r"no config\.json"):
+        RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=False)
+
+
+def test_resume_and_overwrite_exclude_each_other(tmp_path):
+    with pytest.raises(RunError, match="exclude"):
+        RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=True)
+
+
+def test_a_file_as_folder_is_refused(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(RunError, match="is a file"):
+        RunFolder(tmp_path / "out").check(CONFIG, resume=False, overwrite=False)
+
+
+def test_overwrite_removes_only_a_run(folder, scene):
+    (folder.path / "letter.txt").write_text("dear")
+    (folder.path / "segment.json").write_text("{}")
+    (folder.path / "checkpoint").mkdir()
+    folder.create(CONFIG, scene, overwrite=True)
+    names = {path.name for path in folder.path.iterdir()}
+    assert names == {"letter.txt", "config.json", "command.txt", "scene.json"}
+
+
+def test_a_failed_write_leaves_the_old_file(folder):
+    folder.write_text("note.txt", "old")
+
+    def fail(part):
+        part.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        folder.write("note.txt", fail)
+    assert (folder.path / "note.txt").read_text() == "old"
+    assert not list(folder.path.glob(".part*"))
+
+
+def test_metrics_leave_cells_empty_where_there_is_no_value(folder):
+    folder.write_metrics([{"update": 1, "eval_time": float("nan")}, {"update": 2, "eval_time": 3.5}])
+    assert (folder.path / "metrics.csv").read_text().split() == ["update,eval_time", "1,", "2,3.5"]
+
+
+def test_checkpoint_survives_a_stop_between_the_renames(folder):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    assert not folder.load_checkpoint(net=target)
+    folder.save_checkpoint(net=source)
+    (folder.path / "checkpoint").rename(folder.path / "checkpoint.old")
+    assert folder.load_checkpoint(net=target)
+    assert torch.equal(source.weight, target.weight)
+    folder.save_checkpoint(net=source)
+    assert not (folder.path / "checkpoint.old").exists()
+
+
+def test_first_ctrl_c_asks_second_one_ends():
+    with stop_on_ctrl_c() as stopped:
+        assert not stopped()
+        signal.raise_signal(signal.SIGINT)
+        assert stopped()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
