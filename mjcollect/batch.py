@@ -20,8 +20,9 @@ from torchrl.envs import EnvBase
 from mjcollect.course import Course, StartKind
 from mjcollect.episode import Episodes, Outcome, Rules
 from mjcollect.geometry import Array
-from mjcollect.mjcf import compile_model
+from mjcollect.mjcf import build, compile_model
 from mjcollect.reward import PRESETS
+from mjcollect.scene import Scene
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -56,7 +57,8 @@ class Simulations:
                 models[id(course.scene)] = compile_model(course.scene, solid=solid)
         each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
         self._models = each
-        self._data = [mujoco.MjData(each[0]) for _ in range(threads)]
+        room = _largest([course.scene for course in courses])
+        self._data = [mujoco.MjData(room) for _ in range(threads)]
         # With one thread mujoco steps in the caller; threads=0 in its own terms.
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._n = self.episodes.world.substeps
@@ -118,6 +120,14 @@ class Simulations:
     def observe(self) -> Array:
         """Flat observation (N, D), the parts of `Episodes.observe` in their order."""
         return np.concatenate(list(self.episodes.observe().values()), axis=-1)
+
+
+def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
+    """A model whose MjData has room for every scene's: `Rollout` writes past a smaller one."""
+    root = build(max(scenes, key=lambda scene: len(scene.obstacles)))
+    for index in range(max(len(scene.items) for scene in scenes)):
+        root.worldbody.add("site", name=f"room_{index}")
+    return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
 
 class BatchedFlightEnv(EnvBase):

@@ -70,7 +70,8 @@ def flight_title(
             leg = f"{node_name(done.start)} → {node_name(done.targets[0])}"
             what = f", segment {segment}: {leg}"
         ended = "" if len(done.rows) == len(done.targets) else ", not completed"
-    return f"{scene.name}{what}: {trajectory.duration:.2f} s, {trajectory.length:.0f} m{ended}"
+    name = scene.name if len(scene.name) <= 40 else scene.name[:39] + "…"
+    return f"{name}{what}: {trajectory.duration:.2f} s, {trajectory.length:.0f} m{ended}"
 
 
 def plot_speed(

@@ -18,6 +18,7 @@ from mjcollect.guidance_law import guidance_law
 from mjcollect.observation import OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
+LOOK_AHEAD = (30.0, 40.0, 60.0)  # metres between the points of `Approach.ahead`
 GAMMA = 0.99  # discount per slot, also that of the learner
 
 
@@ -181,12 +182,20 @@ class Episodes:
 
     def _look(self) -> Approach:
         distance, direction = self._query(self.q)
+        # Points along the path, so that bends show before they are reached.
+        point, left, towards, ahead = self.q, distance, direction, []
+        for stride in LOOK_AHEAD:
+            if ahead:
+                left, towards = self._query(point)
+            point = point + towards * np.minimum(stride, left)[:, None]
+            ahead.append(point - self.q)
         return Approach(
             offset=self._goal[self.target] - self.q,
             distance=distance,
             direction=direction,
             closing=np.sum(self.v * direction, axis=-1),
             returning=self._node[self.target] < 0,
+            ahead=np.stack(ahead, axis=1),
         )
 
     def _query(self, q: Array) -> tuple[Array, Array]:

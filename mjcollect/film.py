@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter1d
 
 from mjcollect.camera import Picture, View, chase_eyes, framing
+from mjcollect.labels import node_labels
 from mjcollect.overlay import (
     COLLECTED,
     GREY,
@@ -19,7 +20,6 @@ from mjcollect.overlay import (
     Inset,
     Overview,
     heads_for,
-    node_labels,
     pill,
     speed_colours,
 )

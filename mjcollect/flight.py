@@ -87,7 +87,9 @@ def project(world: World, v: Array, action: Array) -> Array:
     Returns:
         (N, 3) accelerations in m/s^2.
     """
-    a = _into_ball(np.nan_to_num(action, posinf=0.0, neginf=0.0) * world.a_max, world.a_max)
+    action = np.nan_to_num(np.asarray(action, dtype=np.float64), posinf=0.0, neginf=0.0)
+    action = np.clip(action, -1e100, 1e100)  # its square must not overflow
+    a = _into_ball(action * world.a_max, world.a_max)
     return (_into_ball(v + a * world.slot, world.v_max) - v) / world.slot
 
 

@@ -20,6 +20,8 @@ UAV_BODY, UAV_GEOM, HIT_SENSOR = "quadrotor/uav", "quadrotor/body", "quadrotor/h
 JOINTS = ("quadrotor/x", "quadrotor/y", "quadrotor/z")
 ACTUATORS = ("quadrotor/ax", "quadrotor/ay", "quadrotor/az")
 
+NEVER = 1e6  # metres; deeper than any scene is wide
+
 OBSTACLE_RGBA = np.array(
     [[0.62, 0.70, 0.80, 1.0], [0.78, 0.74, 0.66, 1.0], [0.54, 0.65, 0.70, 1.0]]
 )
@@ -45,8 +47,6 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
     # Without warm start a step depends on the state alone: batched and single stepping agree
     # bit for bit through a contact.
     root.option.flag.warmstart = "disable"
-    if not solid:
-        root.option.flag.constraint = "disable"
     _look(root, scene)
     for index, box in enumerate(scene.obstacles):
         root.worldbody.add(
@@ -79,6 +79,11 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
         rgba=DEPOT_RGBA,
     )
     _add_quadrotor(root, scene, visual_scale)
+    if not solid:
+        # MuJoCo senses below margin + gap = 0 and resolves below margin, which is never. With
+        # constraints disabled it would not look for contacts at all.
+        body = root.find("geom", UAV_GEOM)
+        body.margin, body.gap = -NEVER, NEVER
     return root
 
 
@@ -166,8 +171,9 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
         size=(extent, extent, 1.0), material="ground", contype=0, conaffinity=0,
     )  # fmt: skip
     root.worldbody.add(
-        "light", name="sun", directional=True, castshadow=False, pos=(centre[0], centre[1], high[2]),
-        dir=(0.4, 0.3, -0.85), diffuse=(0.55, 0.55, 0.52), specular=(0.1, 0.1, 0.1),
+        "light", name="sun", directional=True, castshadow=False,
+        pos=(centre[0], centre[1], high[2]), dir=(0.4, 0.3, -0.85),
+        diffuse=(0.55, 0.55, 0.52), specular=(0.1, 0.1, 0.1),
     )  # fmt: skip
     root.worldbody.add(
         "camera", name="top", pos=(centre[0], centre[1], high[2] + 1.3 * extent),

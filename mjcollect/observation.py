@@ -47,6 +47,7 @@ def guided(world: World, state: State) -> Parts:
     return {
         "velocity": state.v / world.v_max,
         "guide_direction": approach.direction,
+        "guide_ahead": (approach.ahead[:, 1:] / 100).reshape(len(state.q), -1),
         "guide_distance": np.concatenate(
             [distance / 300, np.tanh(distance / 60), np.tanh(distance / 12)], axis=-1
         ),
@@ -84,8 +85,10 @@ def _nearest_boxes(world: World, q: Array) -> Array:
     nearest = np.argsort(gap, axis=1, kind="stable")[:, :NEAREST_BOXES]
     offset = np.take_along_axis(offset, nearest[..., None], axis=1)
     gap = np.take_along_axis(gap, nearest, axis=1)[..., None]
-    # One metre away reads close to 1, REACH away 1/2, far away 0.
-    return (offset / np.maximum(gap, 1e-9) / (1.0 + gap / REACH)).reshape(len(q), -1)
+    # One metre away reads close to 1, REACH away 1/2, far away 0; padding exactly 0, so that an
+    # observation does not depend on how many boxes other simulations have.
+    closeness = np.where(gap < FAR / 2, 1.0 / (1.0 + gap / REACH), 0.0)
+    return (offset / np.maximum(gap, 1e-9) * closeness).reshape(len(q), -1)
 
 
 def paper(world: World, state: State) -> Parts:
@@ -93,7 +96,7 @@ def paper(world: World, state: State) -> Parts:
     low, size = world.bounds[:, 0], world.bounds[:, 1] - world.bounds[:, 0]
     to_boxes = nearest_point_offset(state.q[:, None], world.boxes)
     to_boxes = np.clip(to_boxes / size[:, None], -1.0, 1.0)
-    to_items = (state.items - state.q[:, None]) / size[:, None]
+    to_items = np.clip((state.items - state.q[:, None]) / size[:, None], -1.0, 1.0)
     count = len(state.q)
     return {
         "q": (state.q - low) / size,

@@ -228,7 +228,7 @@ def _check_gl() -> None:
     except Exception as error:  # every backend fails in its own way
         backend = os.environ.get("MUJOCO_GL", "(unset)")
         raise RenderError(
-            f"no video: off-screen rendering with MUJOCO_GL={backend} failed "
+            f"off-screen rendering with MUJOCO_GL={backend} failed "
             f"({type(error).__name__}: {_line(error)}); set MUJOCO_GL=egl and "
             "apt-get install libegl1 libgl1-mesa-dri"
         ) from None

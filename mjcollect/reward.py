@@ -52,6 +52,7 @@ class Approach:
         offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
         direction: (N, 3) unit vectors of that path. closing: (N,) speed along it.
         returning: (N,) whether the target is the depot.
+        ahead: (N, A, 3) from the body to points farther along the path.
     """
 
     offset: Array
@@ -59,6 +60,7 @@ class Approach:
     direction: Array
     closing: Array
     returning: Bools
+    ahead: Array
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:

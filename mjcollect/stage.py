@@ -133,16 +133,17 @@ class Stage:
         Args:
             view: the camera.
             trail: (N, 3) flown path up to now; its last MAX_TRAIL pieces are shown.
-            colours: (N - 1, 3) of its pieces. width: of the trail, in metres.
+            colours: (N - 1, 3) of its pieces. width: radius of the trail, in metres.
             goal: (3,) where the thin straight line from the quadrotor leads.
         """
         self.model.geom_rgba[self._boxes, 3] = 1.0
         self._aim(view, None)
         first = max(0, len(trail) - 1 - MAX_TRAIL)
         for a, b, colour in zip(trail[first:-1], trail[first + 1 :], colours[first:], strict=True):
-            # Thinner towards the camera, which the path may pass closely.
-            near = min(1.0, float(np.linalg.norm(a - view.eye)) / FULL_WIDTH)
-            self._capsule(a, b, width * near, (*colour, 1.0), emission=0.45)
+            # Thinner near the camera, which the path may pass closely; never under a pixel afar.
+            away = float(np.linalg.norm(a - view.eye))
+            radius = max(width * min(1.0, away / FULL_WIDTH), away / view.size[1])
+            self._capsule(a, b, radius, (*colour, 1.0), emission=0.45)
         self._capsule(trail[-1], goal, 0.12, (1.0, 1.0, 1.0, 0.35), emission=0.5)
         return self._renderer.render()
 

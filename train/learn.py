@@ -24,9 +24,9 @@ from train.ddpg import Learner, make_buffer, transitions
 class LearnConfig:
     """Settings of the learner. Budgets count updates and environment steps, never seconds."""
 
-    updates: int = 6000
+    updates: int = 10_000
     """Parameter updates in all (the paper's M episodes of P steps with U_2 updates each)."""
-    extra_updates: int = 6000
+    extra_updates: int = 10_000
     """Further updates, at most, if by then no evaluated policy has arrived from every start."""
     envs: int = 64
     """Simulations side by side."""

@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 from torchrl.checkpoint import Checkpoint
+from tqdm import tqdm
 
 from mjcollect.scene import Scene
 
@@ -212,6 +213,12 @@ def stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
         yield lambda: pressed
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def progress_bar(total: int, unit: str = "update") -> tqdm:
+    """A progress bar on stderr; in a log file one line every 10 s instead of a moving bar."""
+    moving = sys.stderr.isatty()
+    return tqdm(total=total, unit=unit, mininterval=0.1 if moving else 10.0)
 
 
 def say(message: str) -> None:

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal
 
 import torch
 import tyro
-from tqdm import tqdm
 
 from mjcollect.bounds import detour_bound, segment_bound
 from mjcollect.course import Course
@@ -34,6 +33,7 @@ from train.runs import (
     RunFolder,
     default_folder,
     one_thread,
+    progress_bar,
     say,
     stop_on_ctrl_c,
     versions,
@@ -72,10 +72,9 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    args = tyro.cli(Args, args=argv, prog="python -m train.segment")
     one_thread()
     try:
-        return train_segment(args)
+        return train_segment(tyro.cli(Args, args=argv, prog="python -m train.segment"))
     except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
         say(f"error: {error}")
         return BAD_INPUT
@@ -137,7 +136,7 @@ def _learn(trainer: Trainer, folder: RunFolder, args: Args) -> bool:
         say(f"resuming after {trainer.learner.updates} updates")
     goal = segment_bound(trainer.course.scene, *trainer.course.nodes)
     saved, begun, before = trainer.learner.updates, time.monotonic(), trainer.seconds
-    with stop_on_ctrl_c() as stopped, tqdm(unit="update", total=args.learn.updates) as bar:
+    with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
         bar.update(trainer.learner.updates)
         for updates in trainer.run():
             bar.total = max(args.learn.updates, updates if trainer.finished else trainer.budget)

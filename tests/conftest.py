@@ -1,0 +1,62 @@
+"""Small scenes, flat and long: the grids of their guidance fields have few cells."""
+
+from __future__ import annotations
+
+import pytest
+
+from mjcollect.course import Course
+from mjcollect.scene import Scene
+
+FLAT = [[0.0, 0.0, 0.0], [400.0, 60.0, 60.0]]
+BOXES = [
+    [[190.0, 0.0, 0.0], [210.0, 40.0, 55.0]],  # in the way from the depot to item 0
+    [[60.0, 0.0, 0.0], [80.0, 20.0, 20.0]],
+    [[120.0, 45.0, 45.0], [130.0, 60.0, 60.0]],
+    [[300.0, 40.0, 0.0], [330.0, 60.0, 20.0]],
+]
+
+
+@pytest.fixture(scope="session")
+def corridor() -> Scene:
+    """Four boxes, two items; the leg to item 0 and the way back are blocked."""
+    return Scene(
+        name="corridor",
+        seed=0,
+        bounds=FLAT,
+        depot=[10, 30, 30],
+        items=[[380, 30, 30], [250, 20, 40]],
+        obstacles=BOXES,
+    )
+
+
+@pytest.fixture(scope="session")
+def free_scene() -> Scene:
+    """No box; items 0 and 1 lie within each other's tolerance."""
+    return Scene(
+        name="free",
+        seed=0,
+        bounds=FLAT,
+        depot=[10, 30, 30],
+        items=[[100, 30, 30], [103, 30, 30]],
+        obstacles=[],
+    )
+
+
+@pytest.fixture(scope="session")
+def blocked_course(corridor: Scene) -> Course:
+    return Course.segment(corridor, (0, 1), 0)
+
+
+@pytest.fixture(scope="session")
+def mission_course(corridor: Scene) -> Course:
+    return Course.mission(corridor, (0, 1))
+
+
+@pytest.fixture(scope="session")
+def free_course(free_scene: Scene) -> Course:
+    return Course.segment(free_scene, (0, 1), 0)
+
+
+@pytest.fixture(scope="session")
+def free_mission(free_scene: Scene) -> Course:
+    return Course.mission(free_scene, (0, 1))

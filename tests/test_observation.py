@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mjcollect.course import Course
+from mjcollect.episode import Episodes, Rules
+from mjcollect.observation import NEAREST_BOXES, OBSERVATIONS
+from mjcollect.scene import Scene
+
+LOW, HIGH = [0.0, -20.0, 5.0], [400.0, 40.0, 65.0]  # not a cube, not at the origin
+
+
+def scene(boxes, items=1) -> Scene:
+    """Boxes along one side, none in the way."""
+    obstacles = [[[40.0 * k + 20, -20, 5], [40.0 * k + 45, 0, 30]] for k in range(boxes)]
+    goals = [[380.0 - 40 * k, 20, 50] for k in range(items)]
+    return Scene("t", 0, [LOW, HIGH], [10, 20, 50], goals, obstacles)
+
+
+@pytest.fixture(scope="module")
+def courses():
+    return {
+        (boxes, items): Course.mission(scene(boxes, items), tuple(range(items)))
+        for boxes, items in [(0, 1), (1, 2), (7, 1)]
+    }
+
+
+def observed(course, name, q, v, collected=None):
+    episodes = Episodes([course], len(q), Rules(name))
+    episodes.reset(np.arange(len(q)), q, v)
+    if collected is not None:
+        episodes.collected[:] = collected
+    return episodes.observe()
+
+
+def states(count=50, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(LOW, HIGH, (count, 3)), rng.uniform(-28, 28, (count, 3))
+
+
+def test_guided_has_one_width_for_any_number_of_boxes_and_items(courses):
+    q, v = states()
+    widths = []
+    for course in courses.values():
+        parts = observed(course, "guided", q, v)
+        assert all(part.shape[0] == len(q) for part in parts.values())
+        assert all(part.dtype == np.float64 for part in parts.values())
+        widths.append({name: part.shape[1] for name, part in parts.items()})
+    assert widths[0] == widths[1] == widths[2]
+    known = {"velocity": 3, "guide_direction": 3, "guide_distance": 3, "goal_offset": 9}
+    known |= {"speeds": 3, "boxes": 3 * NEAREST_BOXES, "walls": 6}
+    assert known.items() <= widths[0].items()
+
+
+@pytest.mark.parametrize("key", [(0, 1), (1, 2), (7, 1)])
+def test_paper_widths_and_order(courses, key):
+    boxes, items = key
+    parts = observed(courses[key], "paper", *states())
+    assert list(parts) == ["q", "v", "l", "m", "p"]
+    widths = [part.shape[1] for part in parts.values()]
+    assert widths == [3, 3, 3 * max(boxes, 1), 3 * items, items]  # an empty scene has one padding
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_observations_are_finite_and_of_the_order_of_one(courses, name):
+    q, v = states(200)
+    q[0], v[0] = courses[7, 1].scene.items[0], 0.0  # right at the goal, at rest
+    q[1] = [30.0, 0.0, 30.0]  # on a box's edge
+    q[2] = [30.0, -10.0, 10.0]  # inside
+    q[3], q[4] = LOW, HIGH
+    for course in courses.values():
+        for part, values in observed(course, name, q, v).items():
+            assert np.all(np.isfinite(values)), part
+            assert np.all(np.abs(values) <= 3.0), part
+
+
+def test_paper_parts_by_hand(courses):
+    course = courses[1, 2]
+    box, items = course.scene.obstacles[0], course.scene.items
+    size = [high - low for low, high in zip(LOW, HIGH, strict=True)]
+    q, v = states(40)
+    flags = np.random.default_rng(2).random((40, 2)) < 0.5
+    parts = observed(course, "paper", q, v, flags)
+    for i in range(len(q)):
+        for k in range(3):
+            x = float(q[i, k])
+            assert parts["q"][i, k] == pytest.approx((x - LOW[k]) / size[k], abs=1e-12)
+            assert parts["v"][i, k] == pytest.approx(float(v[i, k]) / 50.0, abs=1e-12)
+            nearest = min(max(x, float(box[0, k])), float(box[1, k]))
+            assert parts["l"][i, k] == pytest.approx((nearest - x) / size[k], abs=1e-12)
+            for item in range(2):
+                way = (float(items[item, k]) - x) / size[k]
+                assert parts["m"][i, 3 * item + k] == pytest.approx(way, abs=1e-12)
+        assert parts["p"][i].tolist() == [float(flag) for flag in flags[i]]
+
+
+def test_guided_parts_by_hand(courses):
+    course = courses[7, 1]
+    aim = course.guidance[0].aim  # the first target is the item, in free sight of all these
+    q = np.array([[10.0, 20, 50], [200, 15, 45], [377, 21, 50]])
+    v = np.array([[10.0, 2, -3], [0, 0, 0], [-5, 0, 0]])
+    parts = observed(course, "guided", q, v)
+    for i in range(3):
+        offset = aim - q[i]
+        distance = math.sqrt(sum(x * x for x in offset))
+        near = [distance / 300, math.tanh(distance / 60), math.tanh(distance / 12)]
+        np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-12)
+        np.testing.assert_allclose(parts["guide_direction"][i], offset / distance, rtol=1e-9)
+        np.testing.assert_allclose(parts["velocity"][i], v[i] / 50, rtol=1e-12)
+        scales = [*(offset / 300), *np.tanh(offset / 60), *np.tanh(offset / 12)]
+        np.testing.assert_allclose(parts["goal_offset"][i], scales, rtol=1e-12)
+        along = sum(v[i] * offset) / distance
+        across = math.sqrt(max(sum(v[i] ** 2) - along**2, 0.0))
+        excess = math.tanh((along - min(math.sqrt(40 * distance), 50)) / 10)
+        np.testing.assert_allclose(
+            parts["speeds"][i], [along / 50, across / 50, excess], rtol=0, atol=1e-9
+        )
+        walls = [math.tanh((q[i, k] - LOW[k]) / 30) for k in range(3)]
+        walls += [math.tanh((HIGH[k] - q[i, k]) / 30) for k in range(3)]
+        np.testing.assert_allclose(parts["walls"][i], walls, rtol=0, atol=1e-12)
+
+
+def test_nearest_boxes_come_first_and_fade_with_distance(courses):
+    course = courses[7, 1]
+    q, v = states(60, seed=5)
+    boxes = observed(course, "guided", q, v)["boxes"].reshape(-1, NEAREST_BOXES, 3)
+    for i, point in enumerate(q):
+        ways = [np.clip(point, *box) - point for box in course.scene.obstacles]
+        ways = sorted(ways, key=lambda way: float(np.linalg.norm(way)))[:NEAREST_BOXES]
+        for found, way in zip(boxes[i], ways, strict=True):
+            gap = float(np.linalg.norm(way))
+            expected = way / max(gap, 1e-9) / (1 + gap / 30)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+    fewer = observed(courses[1, 2], "guided", q, v)["boxes"].reshape(-1, NEAREST_BOXES, 3)
+    assert np.all(np.any(fewer[:, 0] != 0, axis=1) | (ways_inside(courses[1, 2], q)))
+    np.testing.assert_array_equal(fewer[:, 1:], 0.0)
+
+
+def ways_inside(course, q):
+    box = course.scene.obstacles[0]
+    return np.all((q >= box[0]) & (q <= box[1]), axis=1)
+
+
+@pytest.mark.parametrize("name", OBSERVATIONS)
+def test_neighbours_with_more_boxes_and_items_do_not_show(courses, name):
+    """What a simulation sees of its own scene is the same, alone or beside larger ones."""
+    mixed = [courses[0, 1], courses[1, 2], courses[7, 1]]
+    q, v = states(3)
+    episodes = Episodes(mixed, 3, Rules(name))
+    episodes.reset(np.arange(3), q, v)
+    together = episodes.observe()
+    for i, course in enumerate(mixed):
+        alone = observed(course, name, q[i : i + 1], v[i : i + 1])
+        for part, values in alone.items():
+            width = values.shape[1]
+            np.testing.assert_array_equal(together[part][i, :width], values[0])
+            # Padded boxes and items look as far as can be, flags stay down.
+            assert np.all(np.isin(together[part][i, width:], [0.0, 1.0]))
+
+
+def test_p_tells_what_is_collected(courses):
+    course = courses[1, 2]
+    episodes = Episodes([course], 1, Rules("paper"))
+    seen = []
+    for node in course.nodes[1:]:
+        q = course.scene.point(node)[None]
+        episodes.q, episodes.v = q.copy(), np.zeros((1, 3))
+        episodes.begin_slot(np.zeros((1, 3)))
+        episodes.end_slot(np.repeat(q[:, None], 10, axis=1), np.zeros((1, 3)), np.zeros((1, 10), bool))
+        seen.append(episodes.observe()["p"][0].tolist())
+    assert seen == [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]
