@@ -147,7 +147,7 @@ class Film:
             headline = "arrived at the depot" if goal < 0 else f"{node_name(goal)} collected"
         items = len(self.progress.collected(reached))
         lines = [
-            (headline, COLLECTED if done else UAV),
+            (headline, UAV if not done else COLLECTED if self._caption is None else WHITE),
             (self._plan()[0], GREY),
             (f"time {self._trajectory.duration:.2f} s", WHITE),
             (f"path {self._trajectory.length:.0f} m", WHITE),

@@ -98,11 +98,11 @@ def render_video(
 
 
 def render_run(
-    folder: str | os.PathLike[str], *, samples: int | None = None, show_progress: bool = False
+    folder: str | os.PathLike[str], *, samples: int = 0, show_progress: bool = False
 ) -> Path:
     """Write the video of a run folder: segment.mp4 or mission.mp4.
 
-    `samples`: as in `render_video`; None gives 4 for a segment and 0 for a mission, which is long.
+    `samples`: as in `render_video`.
 
     Raises:
         RenderError: the folder is not a readable run, or no video could be made.
@@ -128,8 +128,6 @@ def render_run(
     speed = 1.0
     if trajectory.duration > MISSION_SECONDS:
         speed = math.ceil(4 * trajectory.duration / MISSION_SECONDS) / 4
-    if samples is None:
-        samples = 4 if kind == "segment" else 0
     path = folder / f"{kind}.mp4"
     try:
         render_video(
@@ -144,7 +142,7 @@ def render_run(
     return path
 
 
-def render_in_child(run_dir: str | os.PathLike[str], *, samples: int | None = None) -> str | None:
+def render_in_child(run_dir: str | os.PathLike[str], *, samples: int = 0) -> str | None:
     """Render a run folder in a child process, with MUJOCO_GL from the environment or egl.
 
     Works whatever this process has imported. The child's progress bar shows on stderr; a
@@ -153,9 +151,8 @@ def render_in_child(run_dir: str | os.PathLike[str], *, samples: int | None = No
     Returns:
         None on success, else a sentence: the reason and how to get the video later.
     """
-    command = [sys.executable, "-m", "mjcollect.render", "--run", str(run_dir)]
     child = subprocess.Popen(
-        command if samples is None else [*command, "--samples", str(samples)],
+        [sys.executable, "-m", "mjcollect.render", "--run", str(run_dir), f"--samples={samples}"],
         env=_gl_environment(os.environ),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
@@ -191,7 +188,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--run", required=True, metavar="DIR", help="a segment's or mission's folder"
     )
-    parser.add_argument("--samples", type=int, choices=(0, 2, 4, 8), help="multisampling")
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=0,
+        choices=(0, 2, 4, 8),
+        help="multisampling: 4 smooths edges",
+    )
     arguments = parser.parse_args(argv)
     os.environ.update(_gl_environment(os.environ))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed

@@ -1,0 +1,104 @@
+"""Learns the first blocked segment of generated scenes with default settings: success and time.
+
+    python -m benchmarks.segments --floating 5 --city 5 --out docs/results/segments.json
+
+Prints a table; one training run per scene and seed, one after another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import statistics
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from mjcollect.generate import generate
+from mjcollect.inspect_scene import first_blocked, segments_table
+from mjcollect.scene import Scene
+from mjcollect.tour import plan_order
+from train.runs import versions
+from train.segment import Args as SegmentArgs
+from train.segment import train_segment
+
+SHOWN = ("time", "lower_bound", "detour_time", "success_rate", "train_seconds", "updates")
+
+
+@dataclass(frozen=True)
+class Args:
+    """Train one segment in each of several scenes."""
+
+    floating: int = 5
+    """Generated scenes of floating boxes."""
+    city: int = 5
+    """Generated scenes of grounded boxes."""
+    items: int = 6
+    """Items in each."""
+    first_seed: int = 1000
+    """Scene seeds count up from here."""
+    seed: int = 0
+    """Seed of the training."""
+    out: Path | None = None
+    """JSON file for the results."""
+
+
+def scenes(args: Args) -> list[Scene]:
+    """Scenes with at least one blocked segment, seeds counting up."""
+    found: list[Scene] = []
+    for layout, wanted in (("floating", args.floating), ("city", args.city)):
+        seed, have = args.first_seed, 0
+        while have < wanted:
+            scene = generate(seed, args.items, layout=layout)
+            seed += 1
+            if any(row["blocked"] for row in segments_table(scene, plan_order(scene, "lkh"))):
+                found.append(scene)
+                have += 1
+    return found
+
+
+def main(args: Args) -> None:
+    """Train, print, save."""
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for number, scene in enumerate(scenes(args)):
+            path, out = Path(folder) / f"{number}.json", Path(folder) / f"run{number}"
+            scene.save(path)
+            train_segment(
+                SegmentArgs(scene=str(path), out=out, seed=args.seed, video=False)
+            )
+            result = json.loads((out / "segment.json").read_text())
+            results.append({"success": result["success"]} | {k: result[k] for k in SHOWN})
+            results[-1] |= {"scene": scene.name, "segment": first_blocked(scene, result["order"])}
+    print("| scene | segment | success | time (s) | of detour time | rate | training (s) |")
+    print("|---|---|---|---|---|---|---|")
+    ratios = []
+    for row in results:
+        ratio = row["time"] / row["detour_time"] if row["success"] else float("nan")
+        ratios += [ratio] if row["success"] else []
+        time = f"{row['time']:.1f}" if row["success"] else "-"
+        print(
+            f"| {row['scene']} | {row['segment']} | {row['success']} | {time} | {ratio:.3f} "
+            f"| {row['success_rate']:.2f} | {row['train_seconds']:.0f} |"
+        )
+    if ratios:
+        print(f"\n{len(ratios)} of {len(results)} succeeded; time over detour time: median "
+              f"{statistics.median(ratios):.3f}, worst {max(ratios):.3f}")  # fmt: skip
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        machine = {"cpus": os.cpu_count(), "processor": platform.machine()}
+        document = {
+            "arguments": dataclasses.asdict(args) | {"out": None},
+            "machine": machine,
+            "versions": versions(),
+            "results": results,
+        }
+        args.out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
