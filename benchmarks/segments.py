@@ -68,9 +68,7 @@ def main(args: Args) -> None:
         for number, scene in enumerate(scenes(args)):
             path, out = Path(folder) / f"{number}.json", Path(folder) / f"run{number}"
             scene.save(path)
-            train_segment(
-                SegmentArgs(scene=str(path), out=out, seed=args.seed, video=False)
-            )
+            train_segment(SegmentArgs(scene=str(path), out=out, seed=args.seed, video=False))
             result = json.loads((out / "segment.json").read_text())
             results.append({"success": result["success"]} | {k: result[k] for k in SHOWN})
             results[-1] |= {"scene": scene.name, "segment": first_blocked(scene, result["order"])}

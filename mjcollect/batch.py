@@ -13,17 +13,20 @@ import mujoco
 import numpy as np
 import torch
 from mujoco import rollout
+from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mjcollect.course import Course, StartKind
 from mjcollect.episode import Episodes, Outcome, Rules
+from mjcollect.flight import Bools
 from mjcollect.geometry import Array
 from mjcollect.mjcf import build, compile_model
 from mjcollect.reward import PRESETS
 from mjcollect.scene import Scene
 
+Indices = NDArray[np.intp]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -70,9 +73,9 @@ class Simulations:
         """Stop the threads."""
         self._rollout.close()
 
-    def reset(self, which: Array | None = None) -> None:
-        """Draw new starts for the simulations `which` (indices; None for all)."""
-        which = np.arange(self.count) if which is None else which
+    def reset(self, chosen: Indices | None = None) -> None:
+        """Draw new starts for the simulations `chosen` (indices; None for all)."""
+        which = np.arange(self.count) if chosen is None else chosen
         if len(self.episodes.courses) == 1:
             q, v = self.episodes.courses[0].starts(self.start, len(which), self.rng)
         else:
@@ -81,7 +84,7 @@ class Simulations:
             v = np.concatenate([pair[1] for pair in drawn])
         self.place(which, q, v)
 
-    def place(self, which: Array, q: Array, v: Array) -> None:
+    def place(self, which: Indices, q: Array, v: Array) -> None:
         """Begin episodes at q, v (n, 3) in the simulations `which` (n,)."""
         self.state[which] = 0.0
         self.state[which, 1:4], self.state[which, 4:7] = q, v
@@ -161,7 +164,7 @@ class BatchedFlightEnv(EnvBase):
             device=device,
         )
 
-    def _flag(self, values: Array) -> torch.Tensor:
+    def _flag(self, values: Bools) -> torch.Tensor:
         return torch.from_numpy(values[:, None].copy()).to(self.device)
 
     def _dict(self, **more: torch.Tensor) -> TensorDict:
@@ -171,7 +174,7 @@ class BatchedFlightEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
         which = None
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             which = np.flatnonzero(tensordict["_reset"].cpu().numpy().reshape(-1))
         self.simulations.reset(which)
         no = np.zeros(self.simulations.count, dtype=bool)

@@ -52,7 +52,8 @@ class DistanceField:
             first = np.clip(np.floor((middle - reach - low) / self.h).astype(int), 0, count - 1)
             last = np.clip(np.ceil((middle + reach - low) / self.h).astype(int), first + 1, count)
             self._low = low + first * self.h
-        self._shape = tuple(int(n) + 1 for n in last - first)
+        nodes = last - first + 1
+        self._shape = int(nodes[0]), int(nodes[1]), int(nodes[2])
         bounds = np.stack([self._low, self._low + (last - first) * self.h])
         blocked = blocked_grid(bounds, scene.obstacles, scene.uav_radius, self._shape)
         straight = self._straight(aim)
@@ -114,7 +115,7 @@ class DistanceField:
         return np.asarray(self._low + nodes * self.h)
 
     def query(self, q: Array) -> tuple[Array, Array]:
-        """Interpolated distance (N,) and descent (N, 3), minus its gradient; NaN where undefined."""
+        """Interpolated distance (N,) and minus its gradient (N, 3) at q (N, 3); NaN if undefined."""
         last = np.array(self._shape) - 2
         where = (q - self._low) / self.h
         cell = np.clip(where.astype(np.int64), 0, last)
@@ -159,7 +160,9 @@ class DistanceField:
         low = np.maximum(np.array(node) - 1, 0)
         high = np.minimum(np.array(node) + 2, self._shape)
         block = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        near = np.stack(np.meshgrid(*[np.arange(s.start, s.stop) for s in block], indexing="ij"), -1)
+        near = np.stack(
+            np.meshgrid(*[np.arange(s.start, s.stop) for s in block], indexing="ij"), -1
+        )
         length = np.linalg.norm((near - np.array(node)) * self.h, axis=-1)
         fall = self._distance[node] - self._distance[block]
         slope = np.where(length > 0, fall / np.maximum(length, 1e-9), -np.inf)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjcollect.course import Course
 from mjcollect.flight import Bools, Slot, World, command, judge
@@ -115,7 +116,7 @@ class Episodes:
         """The course of episode `index`."""
         return self.courses[index if len(self.courses) > 1 else 0]
 
-    def reset(self, which: Array, q: Array, v: Array) -> None:
+    def reset(self, which: NDArray[np.intp], q: Array, v: Array) -> None:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
         self.q[which], self.v[which] = q, v
         self.target[which] = self._first[which]
@@ -183,7 +184,8 @@ class Episodes:
     def _look(self) -> Approach:
         distance, direction = self._query(self.q)
         # Points along the path, so that bends show before they are reached.
-        point, left, towards, ahead = self.q, distance, direction, []
+        point, left, towards = self.q, distance, direction
+        ahead: list[Array] = []
         for stride in LOOK_AHEAD:
             if ahead:
                 left, towards = self._query(point)

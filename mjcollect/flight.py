@@ -51,7 +51,7 @@ class World:
         for scene in scenes:
             if (scene.slot, scene.physics_step) != (first.slot, first.physics_step):
                 raise ValueError(
-                    f"scenes {first.name!r} and {scene.name!r}: slot {first.slot} and {scene.slot}, "
+                    f"scenes {first.name!r}, {scene.name!r}: slot {first.slot} and {scene.slot}, "
                     f"physics_step {first.physics_step} and {scene.physics_step}: simulations that "
                     "run side by side need the same slot and physics step"
                 )
@@ -120,7 +120,9 @@ def arrests(world: World, q: Array, v: Array, goal: Array, tolerance: Array) -> 
     return np.asarray(slow & (miss <= tolerance))
 
 
-def command(world: World, q: Array, v: Array, action: Array, goal: Array, tolerance: Array) -> tuple[Array, Bools]:
+def command(
+    world: World, q: Array, v: Array, action: Array, goal: Array, tolerance: Array
+) -> tuple[Array, Bools]:
     """Acceleration (N, 3) for the next slot, and where (N,) it is the stop that collects."""
     stop = arrests(world, q, v, goal, tolerance)
     return np.where(stop[:, None], -v / world.slot, project(world, v, action)), stop
@@ -193,5 +195,5 @@ def judge(world: World, start: Array, path: Array, sensed: Bools, stop: Bools) -
     out = leaves_bounds(world, path)
     event = touch | out
     first = np.where(event.any(axis=1), event.argmax(axis=1), path.shape[1])
-    contact, outside = touch.any(axis=1), out.any(axis=1)
+    contact, outside = np.any(touch, axis=1), np.any(out, axis=1)
     return Slot(contact, outside, stop & ~contact & ~outside, first)

@@ -54,8 +54,8 @@ def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
         [
             np.where(moving, (low - start) / safe, 0.0),
             np.where(moving, (high - start) / safe, 0.0),
-            np.zeros(start.shape[:-1] + (1,)),
-            np.ones(start.shape[:-1] + (1,)),
+            np.zeros((*start.shape[:-1], 1)),
+            np.ones((*start.shape[:-1], 1)),
         ],
         axis=-1,
     )

@@ -7,6 +7,8 @@ could lie, since gaps narrower than two cells are closed on a conservative grid.
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from mjcollect.distance_field import DistanceField
@@ -104,7 +106,9 @@ class Guidance:
         points, node = [self.start], field.entry(self.start)
         while not segment_clear(points[-1], self.aim, boxes, radius):
             if node is None:
-                raise GuidanceError(f"no way down from {points[-1].tolist()} to {self.aim.tolist()}")
+                raise GuidanceError(
+                    f"no way down from {points[-1].tolist()} to {self.aim.tolist()}"
+                )
             points.append(field.points(np.array(node)))
             node = field.descend(node)
         return tighten(np.array([*points, self.aim]), self.scene)
@@ -146,7 +150,7 @@ def _skip(points: Array, boxes: Array, radius: float) -> Array:
 
 def _split(points: Array) -> Array:
     parts = [points[:1]]
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in itertools.pairwise(points):
         share = np.linspace(0.0, 1.0, 3)[1:, None]
         parts.append(a + share * (b - a))
     return np.concatenate(parts)

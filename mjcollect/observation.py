@@ -52,7 +52,8 @@ def guided(world: World, state: State) -> Parts:
             [distance / 300, np.tanh(distance / 60), np.tanh(distance / 12)], axis=-1
         ),
         "goal_offset": np.concatenate(
-            [approach.offset / 300, np.tanh(approach.offset / 60), np.tanh(approach.offset / 12)], axis=-1
+            [approach.offset / 300, np.tanh(approach.offset / 60), np.tanh(approach.offset / 12)],
+            axis=-1,
         ),
         # Along the path, across it, and how much faster than one can still stop.
         "speeds": np.concatenate(

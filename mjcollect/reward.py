@@ -69,9 +69,7 @@ def potential(world: World, approach: Approach, gamma: float) -> Array:
     return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
 
 
-def time_reward(
-    world: World, before: Approach, after: Approach, slot: Slot, gamma: float
-) -> Array:
+def time_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
     """-slot + gamma Phi' - Phi, with Phi' = 0 on arrival; -2 flat for a crash. Shape (N,)."""
     ahead = np.where(slot.arrived, 0.0, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)

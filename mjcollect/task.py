@@ -80,9 +80,7 @@ class FlightTask(control.Task):
         self.acceleration = np.zeros(3)
         # DMControlWrapper.set_seed replaces `_random` by a RandomState.
         self._random = (
-            random
-            if isinstance(random, np.random.RandomState)
-            else np.random.RandomState(random)
+            random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
         )
 
     @property

@@ -95,4 +95,6 @@ class Recorder:
         """What was recorded so far."""
         count = len(self._x)
         a = np.array([*self._a, np.zeros(3)])
-        return Trajectory(np.arange(count) * self._step, np.array(self._x), np.array(self._v), a)
+        return Trajectory(
+            np.arange(count, dtype=np.float64) * self._step, np.array(self._x), np.array(self._v), a
+        )

@@ -73,7 +73,9 @@ def tangents(draw):
     signs = np.array(draw(st.tuples(*[st.sampled_from([-1, 0, 1])] * 3).filter(any)))
     share = np.array(draw(st.tuples(unit, unit, unit)))
     weight = np.array(draw(st.tuples(*[st.floats(0.1, 1.0)] * 3)))
-    point = np.where(signs < 0, BOX[0], np.where(signs > 0, BOX[1], BOX[0] + share * (BOX[1] - BOX[0])))
+    point = np.where(
+        signs < 0, BOX[0], np.where(signs > 0, BOX[1], BOX[0] + share * (BOX[1] - BOX[0]))
+    )
     normal = signs * weight
     normal = normal / np.linalg.norm(normal)
     angle = draw(st.floats(0.0, 2 * np.pi))
@@ -83,13 +85,17 @@ def tangents(draw):
     return point, normal, np.cos(angle) * one + np.sin(angle) * two
 
 
-EDGE = (np.array([460.0, 520, 400]), np.array([1.0, 1, 0]) / 2**0.5, np.array([1.0, -1, 0]) / 2**0.5)
+EDGE = (
+    np.array([460.0, 520, 400]),
+    np.array([1.0, 1, 0]) / 2**0.5,
+    np.array([1.0, -1, 0]) / 2**0.5,
+)
 CORNER = (BOX[1], np.ones(3) / 3**0.5, np.array([1.0, -1, 0]) / 2**0.5)
 FACE = (np.array([430.0, 520, 400]), np.array([0.0, 1, 0]), np.array([1.0, 0, 0]))
 
 
 def graze(tangent, distance, speed, phase, physics_step):
-    """Start and velocity of a straight pass at `distance`; `phase` is where in a slot it is near."""
+    """Start and velocity of a straight pass at `distance`, `phase` into its second slot."""
     point, normal, across = tangent
     velocity = speed * across
     nearest = point + distance * normal

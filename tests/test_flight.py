@@ -113,7 +113,9 @@ STOPPERS = {
 @pytest.mark.parametrize("name", STOPPERS)
 @settings(max_examples=150, deadline=None)
 @given(vectors, vectors, st.floats(0.5, 10.0))
-def test_arrests_exactly_where_one_slot_stops_the_body_in_the_ball(name, heading, offset, tolerance):
+def test_arrests_exactly_where_one_slot_stops_the_body_in_the_ball(
+    name, heading, offset, tolerance
+):
     stopper = STOPPERS[name]
     world = stopper.world
     goal = np.array([500.0, 400.0, 300.0])

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from mjcollect.batch import Simulations
-from mjcollect.course import Course
 from mjcollect.flight import World
 from mjcollect.guidance import Guidance, GuidanceError, path_length
 from mjcollect.guidance_law import guidance_law
@@ -31,7 +31,7 @@ def random_scene(seed) -> Scene:
 def least_gap(path, boxes, spacing=0.05):
     """Brute force: least distance of a densely sampled polyline to the boxes."""
     points = []
-    for start, end in zip(path[:-1], path[1:], strict=True):
+    for start, end in pairwise(path):
         count = max(2, int(np.linalg.norm(end - start) / spacing))
         points.append(start + np.linspace(0, 1, count)[:, None] * (end - start))
     points = np.concatenate(points)

@@ -104,7 +104,9 @@ def test_update_follows_algorithm_1():
     )
 
     def q(s, a):
-        return learner.critic(TensorDict({"observation": s, "action": a}, [32]))["state_action_value"]
+        return learner.critic(TensorDict({"observation": s, "action": a}, [32]))[
+            "state_action_value"
+        ]
 
     def pi(s):
         return learner.actor(TensorDict({"observation": s}, [32]))["action"]

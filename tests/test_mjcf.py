@@ -161,7 +161,7 @@ def test_a_box_that_is_not_solid_is_sensed_and_flown_through():
     flown = scene()
     start, speed = [296.0, 500, 500], [20.0, 0, 0]
     still = np.zeros((40, 3))
-    x, v, hit = run(compile_model(flown, solid=False), still, start, speed)
+    _, v, hit = run(compile_model(flown, solid=False), still, start, speed)
     np.testing.assert_array_equal(v, np.tile(speed, (40, 1)))
     # The sensor describes the state before the step.
     before = 296.0 + 20.0 * flown.physics_step * np.arange(40)

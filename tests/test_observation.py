@@ -166,6 +166,8 @@ def test_p_tells_what_is_collected(courses):
         q = course.scene.point(node)[None]
         episodes.q, episodes.v = q.copy(), np.zeros((1, 3))
         episodes.begin_slot(np.zeros((1, 3)))
-        episodes.end_slot(np.repeat(q[:, None], 10, axis=1), np.zeros((1, 3)), np.zeros((1, 10), bool))
+        episodes.end_slot(
+            np.repeat(q[:, None], 10, axis=1), np.zeros((1, 3)), np.zeros((1, 10), bool)
+        )
         seen.append(episodes.observe()["p"][0].tolist())
     assert seen == [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]

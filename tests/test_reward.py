@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,13 +35,13 @@ def events(contact=False, outside=False, arrived=False):
 # Least time to rest
 
 
-def reachable(seconds, closing, grid=np.linspace(0.0, 1.0, 4001)):
+def reachable(seconds, closing):
     """Least and greatest displacement from `closing` m/s to rest in `seconds`, by quadrature.
 
     The speed can at no time be above (below) the lower (upper) envelope of what the start, the
     end and the limit allow.
     """
-    t = grid * seconds
+    t = np.linspace(0.0, seconds, 4001)
     fast = np.minimum(np.minimum(closing + A * t, A * (seconds - t)), TOP)
     back = np.maximum(np.maximum(closing - A * t, -A * (seconds - t)), -TOP)
     return np.trapezoid(back, t), np.trapezoid(fast, t)
@@ -58,7 +59,9 @@ def least_time(distance, closing):
 
 def test_time_to_go_is_the_least_time():
     rng = np.random.default_rng(0)
-    distance = np.concatenate([rng.uniform(0, 5, 30), rng.uniform(0, 200, 40), rng.uniform(0, 1500, 20)])
+    distance = np.concatenate(
+        [rng.uniform(0, 5, 30), rng.uniform(0, 200, 40), rng.uniform(0, 1500, 20)]
+    )
     closing = rng.uniform(-TOP, TOP, len(distance))
     closing[::7] = 0.0
     expected = [least_time(d, v) for d, v in zip(distance, closing, strict=True)]
@@ -102,7 +105,7 @@ def test_the_shaping_telescopes():
     for last in (events(), events(arrived=True)):
         rewards = [
             time_reward(WORLD, a, b, last if b is ways[-1] else events(), GAMMA)[0]
-            for a, b in zip(ways[:-1], ways[1:], strict=True)
+            for a, b in pairwise(ways)
         ]
         discount = GAMMA ** np.arange(len(rewards))
         shaping = np.sum(discount * (np.array(rewards) + SLOT))
@@ -139,8 +142,7 @@ def test_a_perfect_straight_flight_earns_nothing_and_any_waste_costs(speeding, c
     left, v = best_flight(speeding, cruising)
     ways = [approach(d, s) for d, s in zip(left, v, strict=True)]
     rewards = [
-        time_reward(WORLD, a, b, events(arrived=b is ways[-1]), GAMMA)[0]
-        for a, b in zip(ways[:-1], ways[1:], strict=True)
+        time_reward(WORLD, a, b, events(arrived=b is ways[-1]), GAMMA)[0] for a, b in pairwise(ways)
     ]
     np.testing.assert_allclose(rewards, 0.0, atol=1e-6)
     hover = time_reward(WORLD, ways[0], ways[0], events(), GAMMA)[0]
@@ -200,7 +202,14 @@ def test_under_paper_a_crash_is_charged_and_motion_goes_on(paper_flights):
         np.testing.assert_allclose(sims.episodes.q, q + v * 0.2 * (slot + 1), rtol=0, atol=1e-9)
         np.testing.assert_array_equal(sims.episodes.v, v)
     # 8 m a slot: within 0.5 m of the box from 189.5 to 210.5, out of bounds beyond 400.
-    expected = [[-100.0, 0, 0], [-100.0, -200, 0], [-100.0, -200, 0], [-100.0, -200, 0], [0, -200, 0], [0, -200, 0]]
+    expected = [
+        [-100.0, 0, 0],
+        [-100.0, -200, 0],
+        [-100.0, -200, 0],
+        [-100.0, -200, 0],
+        [0, -200, 0],
+        [0, -200, 0],
+    ]
     np.testing.assert_allclose(charged, expected, atol=1e-9)
     assert sims.episodes.crashed.tolist() == [True, True, False]
 

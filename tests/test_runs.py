@@ -29,7 +29,7 @@ def test_check_touches_nothing(tmp_path):
 
 def test_a_full_folder_is_refused_and_left_alone(folder):
     before = (folder.path / "config.json").read_text()
-    with pytest.raises(RunError, match="is not empty.*--resume.*--overwrite"):
+    with pytest.raises(RunError, match=r"is not empty.*--resume.*--overwrite"):
         folder.check(CONFIG, resume=False, overwrite=False)
     assert (folder.path / "config.json").read_text() == before
 
@@ -80,7 +80,9 @@ def test_a_failed_write_leaves_the_old_file(folder):
 
 
 def test_metrics_leave_cells_empty_where_there_is_no_value(folder):
-    folder.write_metrics([{"update": 1, "eval_time": float("nan")}, {"update": 2, "eval_time": 3.5}])
+    folder.write_metrics(
+        [{"update": 1, "eval_time": float("nan")}, {"update": 2, "eval_time": 3.5}]
+    )
     assert (folder.path / "metrics.csv").read_text().split() == ["update,eval_time", "1,", "2,3.5"]
 
 

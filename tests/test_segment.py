@@ -17,7 +17,7 @@ from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.segment import main
 
-TINY = (
+TINY = (  # noqa: SIM905 - reads like the command line
     "--updates 40 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 "
     "--demonstrations 64 --eval-every 20 --eval-episodes 2 --threads 1 --no-video"
 ).split()
@@ -128,7 +128,9 @@ def test_full_folder_is_refused_then_overwritten(finished, scene_file, tmp_path,
         (["--device", "cuda"], "cuda"),
     ],
 )
-def test_bad_arguments_name_the_field_and_write_nothing(scene_file, tmp_path, capsys, more, message):
+def test_bad_arguments_name_the_field_and_write_nothing(
+    scene_file, tmp_path, capsys, more, message
+):
     import torch
 
     if "cuda" in more and torch.cuda.is_available():
@@ -173,7 +175,7 @@ def test_ctrl_c_saves_and_resume_equals_one_go(scene_file, tmp_path):
     process = start(scene_file, out, *budget)
     wait_for(out / "metrics.csv", process)
     process.send_signal(signal.SIGINT)
-    output, error = process.communicate(timeout=120)
+    _, error = process.communicate(timeout=120)
     if process.returncode == 130:  # not already through
         assert "--resume" in error
         assert "Traceback" not in error

@@ -8,5 +8,5 @@ import warnings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL's notes on storages
-# dm_control looks for a display when it is imported and warns if there is none; training needs none.
+# dm_control looks for a display when it is imported and warns if there is none.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing.*")

@@ -46,7 +46,7 @@ class LearnConfig:
     """alpha^(theta): learning rate of the actor at the start."""
     alpha_critic: float = 1e-3
     """alpha^(w): learning rate of the critic at the start."""
-    alpha_target: float = 0.005
+    alpha_target: float = 0.01
     """Target network learning rate."""
     final_rate: float = 0.1
     """Share of the learning rates left at the end, reached linearly."""
@@ -136,9 +136,7 @@ class Evaluator:
         """Draw the starts from the stream `evaluate`."""
         rng = np.random.default_rng(stream(seed, "evaluate"))
         rules = Rules(config.observation, config.reward, config.gamma)
-        self.sims = Simulations(
-            [course], config.eval_episodes, rules=rules, threads=config.threads
-        )
+        self.sims = Simulations([course], config.eval_episodes, rules=rules, threads=config.threads)
         point = course.starts("point", 1, rng)
         ball = course.starts("ball", config.eval_episodes - 1, rng)
         self._q = np.concatenate([point[0], ball[0]])
@@ -175,22 +173,20 @@ class Trainer:
 
     Attributes:
         learner, buffer, env: the parts. best: best evaluation so far; best_policy its weights.
-        rows: one dict per evaluation, the columns of metrics.csv. finished: nothing left to do. seconds: spent training, kept by the caller.
+        rows: one dict per evaluation, the columns of metrics.csv. finished: nothing
+            left to do. seconds: spent training, kept by the caller.
     """
 
-    def __init__(
-        self, course: Course, config: LearnConfig, seed: int, device: str = "cpu"
-    ) -> None:
+    def __init__(self, course: Course, config: LearnConfig, seed: int, device: str = "cpu") -> None:
         """Build the simulations, the networks and the random streams of `seed`."""
         self.course, self.config, self.seed, self.device = course, config, seed, device
         torch.manual_seed(torch_seed(seed, "torch"))
         rules = Rules(config.observation, config.reward, config.gamma)
-        start = "spread"
         sims = Simulations(
             [course],
             config.envs,
             rules=rules,
-            start=start,
+            start="spread",
             rng=np.random.default_rng(stream(seed, "start")),
             threads=config.threads,
         )

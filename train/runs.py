@@ -25,7 +25,16 @@ from mjcollect.scene import Scene
 
 INTERRUPTED = 130
 BAD_INPUT = 2
-VERSIONED = ("mjcollect", "mujoco", "dm-control", "torch", "torchrl", "tensordict", "numpy", "elkai")
+VERSIONED = (
+    "mjcollect",
+    "mujoco",
+    "dm-control",
+    "torch",
+    "torchrl",
+    "tensordict",
+    "numpy",
+    "elkai",
+)
 # Everything a run writes; --overwrite removes these and nothing else.
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",

@@ -1,6 +1,6 @@
 """Learn to fly one segment of a tour, fly it, verify it, and leave pictures of it.
 
-    python -m train.segment --scene FILE --segment I --out DIR
+python -m train.segment --scene FILE --segment I --out DIR
 """
 
 from __future__ import annotations
@@ -112,9 +112,9 @@ def train_segment(args: Args) -> int:
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("segment.json") is not None:
         return _report(folder, args.video)
-    if args.resume and (saved := folder.path / "scene.json").is_file():
-        if Scene.load(saved) != scene:
-            raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
+    saved = folder.path / "scene.json"
+    if args.resume and saved.is_file() and Scene.load(saved) != scene:
+        raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
     course = Course.segment(scene, order, index)
     folder.create(config, scene, overwrite=args.overwrite)
@@ -189,7 +189,7 @@ def _finish(
         ),
     )
     folder.write("trajectory.csv", flight.trajectory.save)
-    ways = (scene, flight.trajectory, order, index)
+    ways = (scene, flight.trajectory, order, index, trainer.course.guidance[0].path)
     folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
     folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
     metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
