@@ -115,7 +115,7 @@ class DistanceField:
         return np.asarray(self._low + nodes * self.h)
 
     def query(self, q: Array) -> tuple[Array, Array]:
-        """Interpolated distance (N,) and minus its gradient (N, 3) at q (N, 3); NaN if undefined."""
+        """Interpolated distance (N,) and minus its gradient (N, 3) at q; NaN where undefined."""
         last = np.array(self._shape) - 2
         where = (q - self._low) / self.h
         cell = np.clip(where.astype(np.int64), 0, last)

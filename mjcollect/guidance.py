@@ -17,7 +17,8 @@ from mjcollect.scene import Scene
 
 COARSE, FINE = 100, 200  # cells along the longest axis: 10 m and 5 m in a 1 km cube
 FINE_SLACK = 60.0  # metres by which ways through the finer field may be longer than the coarse one
-CLEARANCE = 0.5  # metres beyond the body kept by an aim
+AIM_ROOM = 2.0  # metres wanted between an aim and boxes or bounds
+AIM_SHARE = 0.7  # of the tolerance: how far an aim may lie from its goal
 SIGHT_CLEARANCE = 3.0  # metres beyond the body for the line of sight to the aim
 
 
@@ -47,12 +48,16 @@ class Guidance:
         """
         self.scene, self.node, self.start = scene, node, start
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
-        self.aim = _feasible_aim(scene, self.goal, self.tolerance)
-        self._keep = inflate(scene.obstacles, scene.uav_radius + SIGHT_CLEARANCE)
+        self.aim = feasible_aim(scene, self.goal, self.tolerance)
+        # Less clearance from a box that the aim is close to: else the aim would never be in sight.
+        low, high = scene.obstacles[:, 0], scene.obstacles[:, 1]
+        beside = np.maximum(low - self.aim, self.aim - high).max(axis=1)
+        margin = np.clip(0.99 * beside, scene.uav_radius, scene.uav_radius + SIGHT_CLEARANCE)
+        self._keep = inflate(scene.obstacles, margin)
         self._fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
         within = None
         if self._fields[0].entry(start) is not None:
-            self.path = self._descend(self._fields[0])
+            self.path = way_down(self._fields[0], scene, start, self.aim)
             if len(self.path) == 2:
                 return
             within = (start, path_length(self.path) + FINE_SLACK)
@@ -60,7 +65,7 @@ class Guidance:
         shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
         if fine.entry(start) is not None:
             self._fields.append(fine)
-            ways = [self._descend(fine), self._descend(shortest)]
+            ways = [way_down(field, scene, start, self.aim) for field in (fine, shortest)]
             self.path = min(ways if within is None else [self.path, *ways], key=path_length)
         elif within is None:
             raise GuidanceError(
@@ -71,7 +76,10 @@ class Guidance:
 
     @property
     def length(self) -> float:
-        """Metres of `path`, and on to the goal where the aim is beside it."""
+        """Metres of `path`, led to the goal itself where the aim is beside it."""
+        to_goal = np.array([*self.path[:-1], self.goal])
+        if segment_clear(to_goal[-2], self.goal, self.scene.obstacles, self.scene.uav_radius):
+            return path_length(to_goal)
         return path_length(self.path) + float(np.linalg.norm(self.goal - self.aim))
 
     def query(self, q: Array) -> tuple[Array, Array]:
@@ -100,18 +108,20 @@ class Guidance:
         leave = np.maximum(one, two).min(axis=-1)
         return np.asarray(~np.any((enter <= leave) & (leave >= 0.0) & (enter <= 1.0), axis=1))
 
-    def _descend(self, field: DistanceField) -> Array:
-        """A tight free path (P, 3) from the start down the field to the aim."""
-        boxes, radius = self.scene.obstacles, self.scene.uav_radius
-        points, node = [self.start], field.entry(self.start)
-        while not segment_clear(points[-1], self.aim, boxes, radius):
-            if node is None:
-                raise GuidanceError(
-                    f"no way down from {points[-1].tolist()} to {self.aim.tolist()}"
-                )
-            points.append(field.points(np.array(node)))
-            node = field.descend(node)
-        return tighten(np.array([*points, self.aim]), self.scene)
+
+def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Array:
+    """A tight free path (P, 3) from `start` down a field to its aim, both (3,).
+
+    Raises:
+        GuidanceError: the field does not join them.
+    """
+    points, node = [start], field.entry(start)
+    while not segment_clear(points[-1], aim, scene.obstacles, scene.uav_radius):
+        if node is None:
+            raise GuidanceError(f"no way down from {points[-1].tolist()} to {aim.tolist()}")
+        points.append(field.points(np.array(node)))
+        node = field.descend(node)
+    return tighten(np.array([*points, aim]), scene)
 
 
 def path_length(points: Array) -> float:
@@ -168,21 +178,27 @@ def _pulled(before: Array, point: Array, after: Array, boxes: Array, radius: flo
     return np.asarray(candidates[int(np.argmax(clear))])
 
 
-def _feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
-    """The goal, or the nearest point of its ball that keeps the body clear of boxes, in bounds."""
-    room = scene.uav_radius + min(CLEARANCE, 0.25 * tolerance)
-    if len(scene.obstacles) == 0 or np.all(point_box_distance(goal, scene.obstacles) >= room):
-        return goal
-    steps = np.linspace(-0.8, 0.8, 33) * tolerance
+def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
+    """The point (3,) of a goal's ball to fly to: the goal, or where there is room around it.
+
+    Nearest to the goal among those with the most room, up to AIM_ROOM metres, to boxes (beyond
+    the body's radius) and to the bounds: an approach must not have to be exact to a millimetre
+    where a wall is behind the goal, as at a depot in the corner of the cube.
+    """
+    steps = np.linspace(-AIM_SHARE, AIM_SHARE, 25) * tolerance
     ball = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
-    ball = ball[np.linalg.norm(ball, axis=1) <= 0.8 * tolerance]
-    points = goal + ball[np.argsort(np.linalg.norm(ball, axis=1), kind="stable")]
-    inside = np.all((points >= scene.bounds[0]) & (points <= scene.bounds[1]), axis=1)
-    gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
-    good = np.flatnonzero(inside & (gap >= room))
-    if len(good) == 0:
-        good = np.flatnonzero(inside & (gap >= scene.uav_radius + 1e-6))
-    return points[good[0]] if len(good) else goal
+    far = np.linalg.norm(ball, axis=1)
+    near_first = np.argsort(far, kind="stable")
+    near_first = near_first[far[near_first] <= AIM_SHARE * tolerance * (1 + 1e-9)]
+    points = goal + ball[near_first]
+    low, high = scene.bounds
+    room = np.minimum(points - low, high - points).min(axis=1)
+    if len(scene.obstacles):
+        gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
+        room = np.minimum(room, gap - scene.uav_radius)
+    room = np.minimum(room, AIM_ROOM)
+    best = float(room.max())
+    return np.asarray(points[int(np.argmax(room >= best - 1e-9))])
 
 
 def _name(node: int) -> str:

@@ -30,15 +30,16 @@ def guidance_law(
         query: distance and direction elsewhere, to see bends ahead.
     """
     a, top = world.a_max[..., 0], world.v_max[..., 0]
-    speed = np.minimum(np.sqrt(2 * BRAKE_SHARE * a * distance), distance / world.slot)
-    speed = np.minimum(speed, top)
+    closing = np.sum(v * direction, axis=-1)
+    speed = np.minimum(_stopping(BRAKE_SHARE * a, distance, closing, world.slot), top)
     for ahead in LOOK_AHEAD:
         _, there = query(q + direction * np.minimum(ahead, distance)[:, None])
         bend = np.sqrt(np.clip((1.0 - np.sum(direction * there, axis=-1)) / 2, 0.0, 1.0))
         corner = a * BEND_TIME / (2 * np.maximum(bend, 1e-6))
         speed = np.minimum(speed, np.sqrt(corner**2 + 2 * BRAKE_SHARE * a * ahead))
-    speed = np.minimum(speed, np.sqrt(2 * BRAKE_SHARE * a * _free_way(world, q, direction)))
-    wanted = _held_back(world, q, direction * speed[:, None])
+    free = _free_way(world, q, direction)
+    speed = np.minimum(speed, _stopping(BRAKE_SHARE * a, free, closing, world.slot))
+    wanted = _held_back(world, q, v, direction * speed[:, None])
     # Across the path first: a body that keeps to it may brake late, not the other way round.
     change = (wanted - v) / world.slot
     along = np.sum(change * direction, axis=-1, keepdims=True) * direction
@@ -49,6 +50,17 @@ def guidance_law(
     size = np.linalg.norm(along, axis=-1, keepdims=True)
     along = along * np.minimum(1.0, left / np.maximum(size, 1e-9))
     return np.asarray(project(world, v, (across + along) / world.a_max) / world.a_max)
+
+
+def _stopping(brake: Array, room: Array, speed: Array, slot: float) -> Array:
+    """Speed at the slot's end from which `brake` m/s^2 still stops within `room` metres.
+
+    Solves w^2 = 2 brake (room - (speed + w) slot / 2) for w: what the slot itself takes is gone.
+    """
+    half = brake * slot / 2
+    return np.asarray(
+        np.sqrt(np.maximum(half**2 + 2 * brake * room - 2 * half * speed, 0.0)) - half
+    )
 
 
 def _free_way(world: World, q: Array, direction: Array) -> Array:
@@ -64,7 +76,7 @@ def _free_way(world: World, q: Array, direction: Array) -> Array:
     return np.asarray(np.where(hit, enter, 1e6).min(axis=1))
 
 
-def _held_back(world: World, q: Array, wanted: Array) -> Array:
+def _held_back(world: World, q: Array, v: Array, wanted: Array) -> Array:
     """The wanted velocity (N, 3) without what leads into a near box or out of bounds."""
     offset = nearest_point_offset(q[:, None], world.boxes)
     gap = np.linalg.norm(offset, axis=-1)
@@ -73,9 +85,7 @@ def _held_back(world: World, q: Array, wanted: Array) -> Array:
     room = np.maximum(gap[nearest] - world.radius[..., 0] - MARGIN / 2, 0.0)
     excess = np.maximum(np.sum(wanted * normal, axis=-1) - room / world.slot, 0.0)
     wanted = wanted - excess[:, None] * normal
-    rate = 2 * WALL_SHARE * world.a_max
-    below = np.maximum(q - world.bounds[:, 0], 0.0)
-    above = np.maximum(world.bounds[:, 1] - q, 0.0)
-    lowest = -np.minimum(np.sqrt(rate * below), below / world.slot)
-    highest = np.minimum(np.sqrt(rate * above), above / world.slot)
+    brake = WALL_SHARE * world.a_max
+    lowest = -_stopping(brake, np.maximum(q - world.bounds[:, 0], 0.0), -v, world.slot)
+    highest = _stopping(brake, np.maximum(world.bounds[:, 1] - q, 0.0), v, world.slot)
     return np.clip(wanted, lowest, highest)

@@ -103,7 +103,7 @@ def graze(tangent, distance, speed, phase, physics_step):
 
 
 @pytest.mark.parametrize("physics_step", [0.02, 0.2])
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(tangents(), speeds, unit)
 @example(EDGE, 50.0, 0.55)
 @example(CORNER, 50.0, 0.5)
@@ -115,7 +115,7 @@ def test_a_graze_one_millimetre_deep_is_a_contact(physics_step, tangent, speed, 
 
 
 @pytest.mark.parametrize("physics_step", [0.02, 0.2])
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(tangents(), speeds, unit)
 @example(EDGE, 50.0, 0.5)
 @example(FACE, 50.0, 0.0)
@@ -126,7 +126,7 @@ def test_a_pass_one_millimetre_outside_is_none(physics_step, tangent, speed, pha
     np.testing.assert_allclose(path[-1], q + 0.6 * v, rtol=0, atol=1e-9)  # nothing pushed it
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(tangents(), st.floats(0.3, np.pi / 2), st.floats(10.0, 50.0), st.sampled_from([-MM, MM]))
 def test_a_touch_on_the_last_substep_counts_in_that_slot(tangent, dive, speed, depth):
     point, normal, across = tangent  # a step before, the body is at least 5 cm farther out

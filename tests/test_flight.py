@@ -42,7 +42,7 @@ def velocities(draw):
 
 
 @pytest.mark.parametrize("limits", LIMITS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(velocities(), actions)
 @example(np.array([1.0, 0, 0]), np.array([np.nan, np.inf, -np.inf]))
 @example(np.array([0.0, 0, 0]), np.array([1.7e308, -1.7e308, 1e-308]))
@@ -111,7 +111,7 @@ STOPPERS = {
 
 
 @pytest.mark.parametrize("name", STOPPERS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(vectors, vectors, st.floats(0.5, 10.0))
 def test_arrests_exactly_where_one_slot_stops_the_body_in_the_ball(
     name, heading, offset, tolerance

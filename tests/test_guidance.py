@@ -216,3 +216,24 @@ def test_the_law_stays_in_the_unit_ball_and_brakes_for_the_goal(free_course):
     near, fast = guide.goal[None] - [20.0, 0, 0], np.array([[45.0, 0, 0]])
     action = guidance_law(world, near, fast, *guide.query(near), guide.query)
     np.testing.assert_allclose(action, [[-1.0, 0, 0]], atol=1e-9)
+
+
+def test_an_aim_in_a_corner_keeps_room_to_the_bounds():
+    """A depot in the corner of the bounds is flown to from inside, within its tolerance."""
+    flown = scene([], item=(200.0, 30, 30), depot=(0.0, 0, 0))
+    guide = Guidance(flown, -1, flown.items[0])
+    assert np.all(guide.aim >= 1.5)
+    assert np.linalg.norm(guide.aim - flown.depot) < 0.8 * flown.return_tolerance
+    assert guide.length == pytest.approx(np.linalg.norm(flown.items[0] - flown.depot))
+
+
+@pytest.mark.parametrize("gap", [1.0, 2.5])
+def test_an_aim_close_to_a_box_is_in_sight(gap):
+    """The last metres are exact beside a box, too, not read off blocked cells of the grid."""
+    flown = scene([[[300.0, 20, 20], [340, 40, 40]]], item=(300.0 - gap, 30, 30))
+    guide = Guidance(flown, 0, flown.depot)
+    q = guide.aim - np.array([[0.3, 0, 0], [4.0, 1, -2], [60.0, 20, 10]])
+    distance, direction = guide.query(q)
+    straight = np.linalg.norm(guide.aim - q, axis=1)
+    np.testing.assert_allclose(distance, straight, rtol=1e-12)
+    np.testing.assert_allclose(direction, (guide.aim - q) / straight[:, None], atol=1e-12)

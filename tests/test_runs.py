@@ -61,9 +61,17 @@ def test_overwrite_removes_only_a_run(folder, scene):
     (folder.path / "letter.txt").write_text("dear")
     (folder.path / "segment.json").write_text("{}")
     (folder.path / "checkpoint").mkdir()
+    folder.unlock()
     folder.create(CONFIG, scene, overwrite=True)
     names = {path.name for path in folder.path.iterdir()}
     assert names == {"letter.txt", "config.json", "command.txt", "scene.json"}
+
+
+def test_a_folder_in_use_is_refused(folder, scene):
+    with pytest.raises(RunError, match="another process"):
+        RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
+    folder.unlock()
+    RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
 
 
 def test_a_failed_write_leaves_the_old_file(folder):

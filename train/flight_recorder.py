@@ -1,8 +1,8 @@
-"""Fly a policy once in the single dm-control environment and record every physics step."""
+"""Fly policies once in the single dm-control environment and record every physics step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,28 +21,33 @@ class Flight:
     Attributes:
         trajectory: every physics step, to the first contact if there was one.
         success: the course was finished. contacts: physics steps in contact.
+        arrivals: seconds at which each leg's target was reached, as far as they were.
     """
 
     trajectory: Trajectory
     success: bool
     contacts: int
+    arrivals: tuple[float, ...]
 
 
-def fly(course: Course, policy: Policy, observation: str = "guided") -> Flight:
-    """Fly `course` from rest exactly at its start.
+def fly(course: Course, policies: Sequence[Policy], observation: str = "guided") -> Flight:
+    """Fly `course` from rest exactly at its start, each leg by its policy, without a break.
 
     Args:
-        policy: observations (1, D) float32 -> actions (1, 3).
+        policies: one per leg: observations (1, D) float32 -> actions (1, 3).
     """
     environment = make_environment(course, observation=observation)
     task: FlightTask = environment.task
     physics: Physics = environment.physics
+    scene = course.scene
     step = environment.reset()
-    recorder = Recorder(physics.position(), physics.velocity(), course.scene.physics_step)
-    success, contacts = False, 0
+    recorder = Recorder(physics.position(), physics.velocity(), scene.physics_step)
+    success, contacts, slots = False, 0, 0
+    arrivals: list[float] = []
     while not step.last():
         flat = np.concatenate([np.atleast_1d(part) for part in step.observation.values()])
-        step = environment.step(policy(flat.astype(np.float32)[None])[0])
+        step = environment.step(policies[len(arrivals)](flat.astype(np.float32)[None])[0])
+        slots += 1
         outcome = task.outcome
         assert outcome is not None
         slot = outcome.slot
@@ -50,6 +55,8 @@ def fly(course: Course, policy: Policy, observation: str = "guided") -> Flight:
         rows = int(slot.first_event[0]) + 1
         recorder.slot(physics.path[:rows], physics.speeds[:rows], task.acceleration)
         contacts += int(slot.contact[0])
+        if slot.arrived[0]:
+            arrivals.append(slots * scene.substeps * scene.physics_step)
         success = bool(outcome.success[0])
     physics.free()
-    return Flight(recorder.trajectory(), success, contacts)
+    return Flight(recorder.trajectory(), success, contacts, tuple(arrivals))

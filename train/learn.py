@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
 from train.ddpg import Learner, make_buffer, transitions
+from train.policies import TrainedPolicy
 
 
 @dataclass(frozen=True)
@@ -254,9 +254,7 @@ class Trainer:
     @torch.no_grad()
     def _operate(self, guided: torch.Tensor) -> None:
         """One environment operation in every simulation, stored in the buffer."""
-        step = self._now
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            step = self.learner.actor(step)
+        step = self.learner.actor(self._now)
         action = step["action"].cpu()
         if guided.any():
             law = torch.from_numpy(self.env.simulations.episodes.guidance_action()).float()
@@ -277,11 +275,10 @@ class Trainer:
             self._recent.append((self._returns[index].item(), float(success), float(crashed)))
         self._returns[done] = 0.0
 
-    def policy(self, observation: np.ndarray) -> np.ndarray:
-        """Actions (N, 3) of the current actor, without noise."""
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            step = TensorDict({"observation": torch.from_numpy(observation)}, len(observation))
-            return np.asarray(self.learner.actor(step.to(self.device))["action"].cpu().numpy())
+    @property
+    def policy(self) -> TrainedPolicy:
+        """The current actor, without noise."""
+        return TrainedPolicy(self.learner.actor, self.config.observation)
 
     def _evaluate(self) -> None:
         result = self.evaluator(self.policy)

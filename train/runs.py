@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import fcntl
 import importlib.metadata
 import json
 import os
@@ -57,6 +58,7 @@ class RunFolder:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         """Name a folder; nothing is touched yet."""
         self.path = Path(path)
+        self._lock: int | None = None
 
     def check(self, config: dict[str, Any], *, resume: bool, overwrite: bool) -> None:
         """Refuse an unusable folder before any work.
@@ -113,6 +115,7 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
+        self.lock()
         if overwrite:
             for name in RUN_FILES:
                 target = self.path / name
@@ -123,6 +126,27 @@ class RunFolder:
         self.write("scene.json", scene.save)
         self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
         self.write_json("config.json", config)
+
+    def lock(self) -> None:
+        """Keep other processes from writing here until `unlock` or the end of this one.
+
+        Raises:
+            RunError: another process writes here.
+        """
+        self._lock = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.unlock()
+            raise RunError(
+                f"--out: {self.path}: another process is writing to it; wait for it or stop it"
+            ) from None
+
+    def unlock(self) -> None:
+        """Let other processes write here."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def write(self, name: str, save: Callable[[Path], object]) -> None:
         """Write a file through a temporary one and a rename: it is whole or not there."""

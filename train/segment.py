@@ -118,12 +118,19 @@ def train_segment(args: Args) -> int:
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
     course = Course.segment(scene, order, index)
     folder.create(config, scene, overwrite=args.overwrite)
+    try:
+        return _run(course, order, index, folder, args)
+    finally:
+        folder.unlock()
+
+
+def _run(course: Course, order: tuple[int, ...], index: int, folder: RunFolder, args: Args) -> int:
     trainer = Trainer(course, args.learn, args.seed, args.device)
     try:
         if not _learn(trainer, folder, args):
             say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
             return INTERRUPTED
-        _finish(trainer, folder, scene, order, index)
+        _finish(trainer, folder, course.scene, order, index)
     finally:
         trainer.close()
     return _report(folder, args.video)
@@ -135,18 +142,21 @@ def _learn(trainer: Trainer, folder: RunFolder, args: Args) -> bool:
     if args.resume and folder.load_checkpoint(**parts):
         say(f"resuming after {trainer.learner.updates} updates")
     goal = segment_bound(trainer.course.scene, *trainer.course.nodes)
-    saved, begun, before = trainer.learner.updates, time.monotonic(), trainer.seconds
+    saved, shown = trainer.learner.updates, len(trainer.rows)
+    begun, before = time.monotonic(), trainer.seconds
     with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
         bar.update(trainer.learner.updates)
         for updates in trainer.run():
-            bar.total = max(args.learn.updates, updates if trainer.finished else trainer.budget)
+            bar.total = args.learn.updates if updates < args.learn.updates else trainer.budget
             bar.update(updates - bar.n)
             trainer.seconds = before + time.monotonic() - begun
             if trainer.rows:
                 bar.set_postfix_str(_progress(trainer.rows[-1], goal), refresh=False)
+            if len(trainer.rows) > shown:
+                folder.write_metrics(trainer.rows)
+                shown = len(trainer.rows)
             if updates - saved >= args.checkpoint_every or stopped() or trainer.finished:
                 folder.save_checkpoint(**parts)
-                folder.write_metrics(trainer.rows)
                 saved = updates
             if stopped() and not trainer.finished:
                 return False
@@ -170,24 +180,15 @@ def _finish(
     frm, to = legs(order)[index]
     if trainer.best_policy is not None:
         trainer.learner.actor.load_state_dict(trainer.best_policy)
-    flight = fly(trainer.course, trainer.policy, trainer.config.observation)
+    policy = trainer.policy
+    flight = fly(trainer.course, [policy], policy.observation)
     violations = verify(scene, flight.trajectory, order, segment=index)
     success = flight.success and not violations
     seconds = flight.trajectory.duration if success else None
     bound = segment_bound(scene, frm, to)
     detour = detour_bound(scene, frm, to, trainer.course.guidance[0].length)
     folder.write_metrics(trainer.rows)
-    folder.write(
-        "policy.pt",
-        lambda part: torch.save(
-            {
-                "actor": trainer.learner.actor.state_dict(),
-                "width": trainer.config.width,
-                "observation": trainer.config.observation,
-            },
-            part,
-        ),
-    )
+    folder.write("policy.pt", policy.save)
     folder.write("trajectory.csv", flight.trajectory.save)
     ways = (scene, flight.trajectory, order, index, trainer.course.guidance[0].path)
     folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))

@@ -1,0 +1,45 @@
+"""Obstacle-aware cost between nodes: the least time along the shortest free path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjcollect.bounds import leg_time
+from mjcollect.distance_field import DistanceField
+from mjcollect.geometry import Array, segment_clear
+from mjcollect.guidance import COARSE, Guidance, feasible_aim, path_length, way_down
+from mjcollect.scene import Scene
+from mjcollect.tour import distances
+
+
+def travel_times(scene: Scene) -> Array:
+    """Symmetric (K + 1, K + 1) seconds between nodes, depot first, for `tour.plan_order`.
+
+    Stops anywhere in a node's ball count: epsilon is taken off at each item's end. One distance
+    field is marched per node with a blocked neighbour; a pair that its grid does not join gets
+    the finer field of `Guidance`.
+
+    Raises:
+        GuidanceError: two nodes are not joined on the finest grid.
+    """
+    nodes = [-1, *range(len(scene.items))]
+    points = np.array([scene.point(node) for node in nodes])
+    length = distances(scene)
+    clear = segment_clear(points[:, None], points[None], scene.obstacles, scene.uav_radius)
+    for to in range(1, len(nodes)):
+        blocked = np.flatnonzero(~clear[:to, to])
+        if len(blocked) == 0:
+            continue
+        aim = feasible_aim(scene, points[to], scene.tolerance(nodes[to]))
+        field = DistanceField(scene, aim, COARSE, crowding=0.0)
+        for frm in blocked:
+            if field.entry(points[frm]) is None:
+                way = Guidance(scene, nodes[to], points[frm]).length
+            else:
+                way = path_length(way_down(field, scene, points[frm], aim))
+            length[frm, to] = length[to, frm] = way
+    taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])
+    free = np.maximum(length - taken[:, None] - taken[None], 0.0)
+    cost = np.array(leg_time(free, scene.v_max, scene.a_max))
+    np.fill_diagonal(cost, 0.0)
+    return cost

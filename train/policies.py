@@ -1,0 +1,45 @@
+"""Trained policies: saved to and loaded from policy.pt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
+
+from train.ddpg import make_actor
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """An actor that acts without noise.
+
+    Attributes:
+        actor: TorchRL module, observation -> action. observation: name of the observation.
+    """
+
+    actor: TensorDictSequential
+    observation: str
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Actions (N, 3) for observations (N, D) float32."""
+        device = next(self.actor.parameters()).device
+        step = TensorDict({"observation": torch.from_numpy(observation)}, len(observation))
+        with torch.no_grad():
+            return np.asarray(self.actor(step.to(device))["action"].cpu().numpy())
+
+    def save(self, path: Path) -> None:
+        """Write policy.pt: plain tensors and names, loaded without unpickling objects."""
+        torch.save({"actor": self.actor.state_dict(), "observation": self.observation}, path)
+
+    @classmethod
+    def load(cls, path: Path) -> TrainedPolicy:
+        """Read policy.pt."""
+        saved = torch.load(path, weights_only=True, map_location="cpu")
+        first = next(value for name, value in saved["actor"].items() if name.endswith("0.weight"))
+        actor = make_actor(first.shape[1], first.shape[0])
+        actor.load_state_dict(saved["actor"])
+        return cls(actor, saved["observation"])

@@ -1,0 +1,249 @@
+"""Train a mission's segments side by side: in local processes, or as tasks of a Ray cluster.
+
+Each segment is one `python -m train.segment` in a process of its own with a seed of its own, so
+the result does not depend on where, or beside what, it runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import dataclasses
+import io
+import queue
+import signal
+import subprocess
+import sys
+import tarfile
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from train.learn import LearnConfig, stream
+
+
+@dataclass(frozen=True)
+class Job:
+    """One training of one segment.
+
+    Attributes:
+        index: of the segment. arguments: of `train.segment`, without --out.
+        folder: where the run goes.
+    """
+
+    index: int
+    arguments: tuple[str, ...]
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a job ended: exit code, and the last line of its messages."""
+
+    job: Job
+    code: int
+    message: str
+
+
+def attempt_seed(seed: int, segment: int, attempt: int) -> int:
+    """Seed of the `attempt`-th training of a segment, from the mission's seed."""
+    name = f"segment {segment} attempt {attempt}"
+    return int(stream(seed, name).generate_state(1, np.uint32)[0])
+
+
+def learn_arguments(config: LearnConfig) -> list[str]:
+    """The settings as command line arguments."""
+    values = dataclasses.asdict(config).items()
+    return [part for name, value in values for part in (f"--{name.replace('_', '-')}", str(value))]
+
+
+class LocalWorkers:
+    """Runs jobs in up to `count` processes, which end with this one."""
+
+    def __init__(self, count: int) -> None:
+        """Prepare `count` threads, each of which waits for one process at a time."""
+        self._jobs: queue.Queue[Job | None] = queue.Queue()
+        self._done: queue.Queue[Done] = queue.Queue()
+        self._running: set[subprocess.Popen[str]] = set()
+        self._stopping = False
+        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(count)]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, job: Job) -> None:
+        """Queue a job."""
+        self._jobs.put(job)
+
+    def next_done(self, timeout: float) -> Done | None:
+        """The next finished job, or None after `timeout` seconds."""
+        with contextlib.suppress(queue.Empty):
+            return self._done.get(timeout=timeout)
+        return None
+
+    def stop(self) -> None:
+        """Let the running jobs save a checkpoint and end; start no further ones."""
+        self._stopping = True
+        for process in list(self._running):
+            process.send_signal(signal.SIGINT)
+        for _ in self._threads:
+            self._jobs.put(None)
+        for thread in self._threads:
+            thread.join()
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            if self._stopping:
+                continue
+            command = [sys.executable, "-m", "train.segment", *job.arguments]
+            process = subprocess.Popen(
+                [*command, "--out", str(job.folder)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                start_new_session=True,  # Ctrl-C comes from `stop`, once
+                preexec_fn=_end_with_parent,
+            )
+            self._running.add(process)
+            output, _ = process.communicate()
+            self._running.discard(process)
+            self._done.put(Done(job, process.returncode, _last_line(output)))
+
+
+def _end_with_parent() -> None:
+    """Have the kernel kill this process when its parent ends, even by SIGKILL (Linux)."""
+    pr_set_pdeathsig = 1
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _last_line(output: str) -> str:
+    lines = [line.strip() for line in output.replace("\r", "\n").splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+class RayWorkers:
+    """Runs each job as one task of a Ray cluster.
+
+    A task works in a folder of its node and sends it back, since nodes need not share a disk; what
+    a stopped mission had not received is trained again.
+    """
+
+    def __init__(self, address: str) -> None:
+        """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
+
+        Raises:
+            ImportError: Ray is not installed. ConnectionError: no cluster answers.
+        """
+        import ray
+
+        self._ray = ray
+        ray.init(
+            address=None if address == "local" else address,
+            log_to_driver=False,
+            include_dashboard=False if address == "local" else None,
+        )
+        self._task = ray.remote(num_cpus=1, max_retries=2)(_run_packed)
+        self._jobs: dict[Any, Job] = {}
+
+    def submit(self, job: Job) -> None:
+        """Queue a job, with what its folder already holds."""
+        scene = Path(job.arguments[job.arguments.index("--scene") + 1]).read_text(encoding="utf-8")
+        self._jobs[self._task.remote(job.arguments, scene, pack(job.folder))] = job
+
+    def next_done(self, timeout: float) -> Done | None:
+        """The next finished job, or None after `timeout` seconds."""
+        ready, _ = self._ray.wait(list(self._jobs), num_returns=1, timeout=timeout)
+        if not ready:
+            return None
+        job = self._jobs.pop(ready[0])
+        code, message, packed = self._ray.get(ready[0])
+        unpack(packed, job.folder)
+        return Done(job, code, message)
+
+    def stop(self) -> None:
+        """Cancel what runs and leave the cluster."""
+        for task in self._jobs:
+            self._ray.cancel(task, force=True)
+        self._ray.shutdown()
+
+
+def _run_packed(arguments: Sequence[str], scene: str, packed: bytes) -> tuple[int, str, bytes]:
+    """What a Ray task does: unpack, train, pack."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, scene_file = Path(folder) / "run", Path(folder) / "scene.json"
+        scene_file.write_text(scene, encoding="utf-8")
+        unpack(packed, out)
+        at = list(arguments).index("--scene")
+        arguments = [*arguments[: at + 1], str(scene_file), *arguments[at + 2 :]]
+        command = [sys.executable, "-m", "train.segment", *arguments, "--out", str(out)]
+        done = subprocess.run(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+        )
+        return done.returncode, _last_line(done.stdout), pack(out)
+
+
+def pack(folder: Path) -> bytes:
+    """A folder as tar bytes; empty if it is not there."""
+    if not folder.is_dir():
+        return b""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(folder, arcname=".")
+    return buffer.getvalue()
+
+
+def unpack(packed: bytes, folder: Path) -> None:
+    """Write what `pack` gave."""
+    if packed:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+            archive.extractall(folder, filter="data")
+
+
+Workers = LocalWorkers | RayWorkers
+
+
+@contextlib.contextmanager
+def open_workers(count: int, ray: str | None) -> Iterator[Workers]:
+    """Local or Ray workers, stopped at the end."""
+    workers: Workers = RayWorkers(ray) if ray else LocalWorkers(count)
+    try:
+        yield workers
+    finally:
+        workers.stop()
+
+
+def run_jobs(
+    workers: Workers,
+    jobs: Sequence[Job],
+    retry: Callable[[Done], Job | None],
+    tick: Callable[[], bool],
+) -> bool:
+    """Run all jobs, and those that `retry` gives for finished ones.
+
+    Args:
+        retry: called with each finished job. tick: called several times a second; True stops.
+
+    Returns:
+        Whether all were run.
+    """
+    for job in jobs:
+        workers.submit(job)
+    left = len(jobs)
+    while left:
+        if tick():
+            return False
+        done = workers.next_done(timeout=0.3)
+        if done is not None:
+            left -= 1
+            again = retry(done)
+            if again is not None:
+                workers.submit(again)
+                left += 1
+    return True
