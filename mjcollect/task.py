@@ -88,6 +88,11 @@ class FlightTask(control.Task):
         """Random state of the starts."""
         return self._random
 
+    @property
+    def leg(self) -> int:
+        """Targets reached so far: the index of the current leg of the course."""
+        return int(self.episodes.target[0])
+
     def initialize_episode(self, physics: Physics) -> None:
         """Put the UAV at a start state."""
         rng = np.random.default_rng(self._random.randint(2**31))

@@ -30,12 +30,28 @@ class Flight:
     arrivals: tuple[float, ...]
 
 
+Pilot = Callable[[np.ndarray, FlightTask], np.ndarray]
+
+
 def fly(course: Course, policies: Sequence[Policy], observation: str = "guided") -> Flight:
     """Fly `course` from rest exactly at its start, each leg by its policy, without a break.
 
     Args:
         policies: one per leg: observations (1, D) float32 -> actions (1, 3).
     """
+
+    def pilot(flat: np.ndarray, task: FlightTask) -> np.ndarray:
+        return policies[task.leg](flat[None])[0]
+
+    return _record(course, pilot, observation)
+
+
+def fly_law(course: Course) -> Flight:
+    """Fly `course` by the guidance law."""
+    return _record(course, lambda _, task: task.episodes.guidance_action()[0], "guided")
+
+
+def _record(course: Course, pilot: Pilot, observation: str) -> Flight:
     environment = make_environment(course, observation=observation)
     task: FlightTask = environment.task
     physics: Physics = environment.physics
@@ -46,7 +62,7 @@ def fly(course: Course, policies: Sequence[Policy], observation: str = "guided")
     arrivals: list[float] = []
     while not step.last():
         flat = np.concatenate([np.atleast_1d(part) for part in step.observation.values()])
-        step = environment.step(policies[len(arrivals)](flat.astype(np.float32)[None])[0])
+        step = environment.step(pilot(flat.astype(np.float32), task))
         slots += 1
         outcome = task.outcome
         assert outcome is not None

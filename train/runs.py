@@ -40,7 +40,7 @@ VERSIONED = (
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
     "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
-    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "report.md",
+    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "report.md",
 )  # fmt: skip
 
 

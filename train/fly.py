@@ -1,0 +1,198 @@
+"""Fly a finished mission again, or a scene by a planner that needs no training.
+
+python -m train.fly --run DIR
+python -m train.fly --scene FILE --planner guidance
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from mjcollect.course import Course
+from mjcollect.guidance import GuidanceError
+from mjcollect.scene import Scene, SceneError
+from mjcollect.tour import TourError, order_label, plan_order
+from train.flight_recorder import Flight, fly, fly_law
+from train.mission_report import describe, mission_result, report, write_flight
+from train.policies import TrainedPolicy
+from train.runs import (
+    BAD_INPUT,
+    INTERRUPTED,
+    RunError,
+    RunFolder,
+    default_folder,
+    one_thread,
+    say,
+)
+
+
+@dataclass(frozen=True)
+class Args:
+    """Fly a mission with no training: a finished run again, or a scene by a planner."""
+
+    run: Path | None = None
+    """Folder of a finished train.mission run, whose policies fly."""
+    scene: str | None = None
+    """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
+    planner: Literal["policy", "guidance"] = "policy"
+    """policy: the run's trained policies. guidance: the law with no learning."""
+    order: str = "lkh"
+    """Visiting order for --scene: lkh, exact, random, given, or a list such as 2,0,1."""
+    out: Path | None = None
+    """Folder for the results; default: runs/fly/<scene name>-<planner>-seed<N>."""
+    seed: int = 0
+    """Seed of the random order."""
+    overwrite: bool = False
+    """Start anew in a folder that is not empty."""
+    video: bool = True
+    """Render mission.mp4."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the program; the exit code of the contract."""
+    one_thread()
+    try:
+        return fly_mission(tyro.cli(Args, args=argv, prog="python -m train.fly"))
+    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
+        say(f"error: {error}")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted")
+        return INTERRUPTED
+
+
+def fly_mission(args: Args) -> int:
+    """Fly, judge, draw. Raises only before anything is written."""
+    if args.run is None and args.scene is None:
+        raise RunError(
+            "give --run DIR of a finished mission, or --scene FILE with --planner guidance"
+        )
+    if args.run is None and args.planner == "policy":
+        raise RunError(
+            "--planner: policy: needs --run DIR with trained policies; train some with python -m "
+            "train.mission, or give --planner guidance"
+        )
+    trained: Sequence[dict[str, Any] | None]
+    if args.run is not None:
+        scene, order, method, seed = _finished_run(args)
+        segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
+        trained = [segment.read_json("segment.json") for segment in segments]
+    else:
+        scene, seed = Scene.find(args.scene or ""), args.seed
+        order = plan_order(scene, args.order, seed=seed)
+        method = order_label(args.order)
+        trained = [None] * (len(order) + 1)
+    folder = RunFolder(args.out or default_folder("fly", scene.slug, args.planner, f"seed{seed}"))
+    config = {
+        "program": "train.fly",
+        "scene": scene.name,
+        "order": list(order),
+        "planner": args.planner,
+        "run": None if args.run is None else str(args.run),
+        "seed": seed,
+    }
+    folder.check(config, resume=False, overwrite=args.overwrite)
+    course = Course.mission(scene, order)
+    if args.planner == "policy":
+        policies = [_load(segment.path / "policy.pt") for segment in segments]
+        folder.create(config, scene, overwrite=args.overwrite)
+        flight = fly(course, policies, policies[0].observation)
+    else:
+        folder.create(config, scene, overwrite=args.overwrite)
+        flight = fly_law(course)
+    return _finish(folder, course, order, method, flight, trained, seed, args)
+
+
+def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
+    """Scene, order, its method and the seed of the run.
+
+    Raises:
+        RunError: it is not a finished mission, or does not match the scene.
+    """
+    assert args.run is not None
+    run = RunFolder(args.run)
+    result = run.read_json("mission.json")
+    if result is None:
+        raise RunError(
+            f"--run: {args.run}: holds no mission.json; name the folder of a finished mission"
+        )
+    scene = Scene.load(args.run / "scene.json")
+    others = [
+        (args.run / "segments" / str(k) / "scene.json") for k in range(len(result["segments"]))
+    ]
+    given = [("--scene", Scene.find(args.scene))] if args.scene is not None else []
+    for name, other in given + [(str(path), Scene.load(path)) for path in others]:
+        if difference := scene_difference(scene, other):
+            raise RunError(
+                f"{name}: differs from {args.run / 'scene.json'}, for which the run was trained: "
+                f"{difference}; train again for another scene"
+            )
+    return scene, tuple(result["order"]), result["order_method"], result["seed"]
+
+
+def scene_difference(one: Scene, two: Scene) -> str | None:
+    """The first field in which two scenes differ, with both values."""
+    first, second = one.to_dict(), two.to_dict()
+    for field, value in first.items():
+        if value == second[field]:
+            continue
+        if isinstance(value, list) and len(value) == len(second[field]):
+            pairs = zip(value, second[field], strict=True)
+            index, (a, b) = next((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1])
+            return f"{field}[{index}] is {b}, not {a}"
+        if isinstance(value, list):
+            return f"{field} has {len(second[field])} entries, not {len(value)}"
+        return f"{field} is {second[field]}, not {value}"
+    return None
+
+
+def _load(path: Path) -> TrainedPolicy:
+    if not path.is_file():
+        raise RunError(f"--run: {path}: is missing; the run is not finished")
+    return TrainedPolicy.load(path)
+
+
+def _finish(
+    folder: RunFolder,
+    course: Course,
+    order: tuple[int, ...],
+    method: str,
+    flight: Flight,
+    trained: Sequence[dict[str, Any] | None],
+    seed: int,
+    args: Args,
+) -> int:
+    """Judge, write everything, print the result; 0 if it is a success."""
+    result = mission_result(course, order, method, flight, trained, seed)
+    result["planner"] = args.planner
+    write_flight(folder, course, order, flight)
+    folder.write_json("mission.json", result)
+    folder.unlock()
+    if args.video:
+        from mjcollect.render import render_in_child
+
+        reason = render_in_child(folder.path)
+        if reason:
+            say(f"no video: {reason}")
+    filmed = (folder.path / "mission.mp4").is_file()
+    folder.write_text("report.md", report(course.scene, result, filmed))
+    where = os.path.relpath(folder.path)
+    if result["success"]:
+        print(
+            f"success: {len(order)} items in {result['mission_time']:.1f} s, "
+            f"{result['ratio']:.3f} of the lower bound: {where}"
+        )
+        return 0
+    print(f"no success ({'; '.join(map(describe, result['violations']))}): {where}")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,288 @@
+"""Algorithm 2: order the items, learn every segment, fly them one after another, come home.
+
+python -m train.mission --scene FILE --out DIR --workers 2
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from mjcollect.course import Course
+from mjcollect.guidance import GuidanceError
+from mjcollect.scene import Scene, SceneError
+from mjcollect.tour import TourError, order_label, plan_order
+from train.flight_recorder import fly
+from train.learn import LearnConfig
+from train.mission_display import MissionDisplay
+from train.mission_report import describe, mission_result, report, write_flight, write_learning
+from train.policies import TrainedPolicy
+from train.runs import (
+    BAD_INPUT,
+    INTERRUPTED,
+    RunError,
+    RunFolder,
+    default_folder,
+    one_thread,
+    say,
+    stop_on_ctrl_c,
+)
+from train.workers import Done, Job, attempt_seed, learn_arguments, open_workers, run_jobs
+
+MOST_SEGMENT_VIDEOS = 10  # items; beyond this only the whole mission is filmed
+
+
+class TrainingError(RuntimeError):
+    """A segment's training process ended with an error."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Order the items, learn every segment, fly the whole mission, verify it, film it."""
+
+    scene: str = "scenario_1"
+    """Scene file, or the name of a bundled scene."""
+    order: str = "lkh"
+    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    cost: Literal["distance", "time"] = "distance"
+    """What lkh and exact minimise: straight distance (the paper), or least time round obstacles."""
+    out: Path | None = None
+    """Run folder; default: runs/mission/<scene name>-<order>-seed<N>."""
+    seed: int = 0
+    """Seed of every random stream; each segment gets one of its own from it."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks live."""
+    workers: int = 2
+    """Local processes that train segments side by side."""
+    ray: str | None = None
+    """Address of a Ray cluster to train on instead: host:port, auto, or local."""
+    retries: int = 2
+    """Further trainings, with other seeds, of a segment that is not flown from everywhere."""
+    resume: bool = False
+    """Go on with the run in the folder."""
+    overwrite: bool = False
+    """Start anew in a folder that is not empty."""
+    video: bool = True
+    """Render mission.mp4, and each segment's video up to 10 items."""
+    checkpoint_every: int = 1000
+    """Updates between the checkpoints of a segment."""
+    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=LearnConfig
+    )
+    """Settings of the learner."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the program; the exit code of the contract."""
+    one_thread()
+    try:
+        return train_mission(tyro.cli(Args, args=argv, prog="python -m train.mission"))
+    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
+        say(f"error: {error}")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted; go on with --resume")
+        return INTERRUPTED
+
+
+def train_mission(args: Args) -> int:
+    """Order, learn, fly, judge, draw. Raises only before anything is written."""
+    _check(args)
+    scene = Scene.find(args.scene)
+    cost = None
+    if args.cost == "time" and args.order in ("lkh", "exact"):
+        from mjcollect.travel_cost import travel_times
+
+        cost = travel_times(scene)
+    order = plan_order(scene, args.order, seed=args.seed, cost=cost)
+    method = order_label(args.order) + ("-time" if cost is not None else "")
+    config = {
+        "program": "train.mission",
+        "scene": scene.name,
+        "order": list(order),
+        "order_method": method,
+        "seed": args.seed,
+        "device": args.device,
+        "retries": args.retries,
+        "learn": dataclasses.asdict(args.learn),
+    }
+    folder = RunFolder(
+        args.out or default_folder("mission", scene.slug, args.order, f"seed{args.seed}")
+    )
+    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    if args.resume and folder.read_json("mission.json") is not None:
+        return _finish(folder, args.video)
+    saved = folder.path / "scene.json"
+    if args.resume and saved.is_file() and Scene.load(saved) != scene:
+        raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
+    say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
+    course = Course.mission(scene, order)
+    folder.create(config, scene, overwrite=args.overwrite)
+    try:
+        if not _learn(args, folder, scene, order):
+            say("stopped, saved; go on with --resume")
+            return INTERRUPTED
+        segments = [_segment_folder(folder, index) for index in range(len(order) + 1)]
+        policies = [TrainedPolicy.load(segment.path / "policy.pt") for segment in segments]
+        flight = fly(course, policies, args.learn.observation)
+        trained = [segment.read_json("segment.json") for segment in segments]
+        result = mission_result(course, order, method, flight, trained, args.seed)
+        write_flight(folder, course, order, flight)
+        write_learning(folder, len(segments))
+        folder.write_json("mission.json", result)
+    except TrainingError as error:
+        say(f"error: {error}; when mended, go on with --resume")
+        return 1
+    finally:
+        folder.unlock()
+    return _finish(folder, args.video)
+
+
+def _check(args: Args) -> None:
+    for field, least in (("seed", 0), ("workers", 1), ("retries", 0), ("checkpoint_every", 1)):
+        if getattr(args, field) < least:
+            name = field.replace("_", "-")
+            raise RunError(f"--{name}: {getattr(args, field)}: must be at least {least}")
+    if args.device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
+    if args.ray is not None:
+        try:
+            import ray  # noqa: F401
+        except ImportError:
+            raise RunError(
+                "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
+            ) from None
+
+
+def _segment_folder(folder: RunFolder, index: int) -> RunFolder:
+    return RunFolder(folder.path / "segments" / str(index))
+
+
+def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) -> bool:
+    """Train every segment that is not yet; False if Ctrl-C stopped it.
+
+    Raises:
+        TrainingError: a training ended with an error.
+    """
+
+    def job(index: int) -> Job | None:
+        """What is still to be trained of a segment."""
+        segment = _segment_folder(folder, index)
+        if (result := segment.read_json("segment.json")) is not None and _perfect(result):
+            return None
+        tried = _attempts(folder, index)
+        if result is not None or len(tried) > args.retries:
+            if len(tried) >= args.retries:
+                _keep_best(folder, index)
+                return None
+            _set_aside(folder, index, len(tried))
+        attempt = len(_attempts(folder, index))
+        filmed = args.video and len(order) <= MOST_SEGMENT_VIDEOS
+        arguments = [
+            "--scene", str((folder.path / "scene.json").resolve()), "--segment", str(index),
+            "--order", ",".join(map(str, order)),
+            "--seed", str(attempt_seed(args.seed, index, attempt)),
+            "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
+            "--video" if filmed else "--no-video", *learn_arguments(args.learn),
+        ]  # fmt: skip
+        return Job(index, tuple(arguments), segment.path)
+
+    def retry(done: Done) -> Job | None:
+        index = done.job.index
+        if done.code not in (0, 1):
+            raise TrainingError(f"segment {index}: exit code {done.code}: {done.message}")
+        display.finished(index)
+        return job(index)
+
+    display = MissionDisplay(folder.path, scene, order, args.learn.updates)
+    with stop_on_ctrl_c() as stopped, display, open_workers(args.workers, args.ray) as workers:
+
+        def tick() -> bool:
+            display.update()
+            return stopped()
+
+        jobs = [found for index in range(len(order) + 1) if (found := job(index))]
+        return run_jobs(workers, jobs, retry, tick)
+
+
+def _perfect(result: dict[str, Any]) -> bool:
+    return bool(result["success"] and result["success_rate"] == 1.0)
+
+
+def _attempts(folder: RunFolder, index: int) -> list[Path]:
+    """Trainings of a segment that were set aside, in attempts/<segment>-<number>/."""
+    return sorted((folder.path / "attempts").glob(f"{index}-*"))
+
+
+def _set_aside(folder: RunFolder, index: int, number: int) -> None:
+    """Make room for a training with another seed; one rename, so a stop leaves no half of it."""
+    (folder.path / "attempts").mkdir(exist_ok=True)
+    os.rename(_segment_folder(folder, index).path, folder.path / "attempts" / f"{index}-{number}")
+
+
+def _keep_best(folder: RunFolder, index: int) -> None:
+    """Put the best of all trainings of a segment in its place; none was perfect."""
+
+    def rank(path: Path) -> tuple[bool, float, float]:
+        result = RunFolder(path).read_json("segment.json") or {}
+        time = result.get("time") or float("inf")
+        return (result.get("success", False), result.get("success_rate", 0.0), -time)
+
+    segment = _segment_folder(folder, index).path
+    tried = _attempts(folder, index)
+    best = max([*tried, segment] if segment.exists() else tried, key=rank)
+    if best != segment:
+        if segment.exists():
+            _set_aside(folder, index, len(tried))
+        os.rename(best, segment)
+
+
+def _notes(folder: RunFolder, segments: int) -> list[str]:
+    """What the report says of segments that were trained more than once."""
+    notes = []
+    for index in range(segments):
+        if tried := _attempts(folder, index):
+            result = _segment_folder(folder, index).read_json("segment.json") or {}
+            notes.append(
+                f"Segment {index} was trained {len(tried) + 1} times with different seeds; the "
+                f"policy kept arrives from {result.get('success_rate', 0.0):.0%} of the starts."
+            )
+    return notes
+
+
+def _finish(folder: RunFolder, video: bool) -> int:
+    """Render what is missing, write the report, print the result; 0 if it is a success."""
+    result = folder.read_json("mission.json")
+    assert result is not None
+    if video and not (folder.path / "mission.mp4").is_file():
+        from mjcollect.render import render_in_child
+
+        reason = render_in_child(folder.path)
+        if reason:
+            say(f"no video: {reason}")
+    notes = _notes(folder, len(result["segments"]))
+    scene = Scene.load(folder.path / "scene.json")
+    filmed = (folder.path / "mission.mp4").is_file()
+    folder.write_text("report.md", report(scene, result, filmed, notes))
+    where = os.path.relpath(folder.path)
+    if result["success"]:
+        print(
+            f"success: {len(result['order'])} items in {result['mission_time']:.1f} s, "
+            f"{result['ratio']:.3f} of the lower bound: {where}"
+        )
+        return 0
+    print(f"no success ({'; '.join(map(describe, result['violations']))}): {where}")
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

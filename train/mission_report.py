@@ -1,0 +1,175 @@
+"""What a flown mission leaves behind: mission.json, plots, report."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjcollect.bounds import detour_bound, mission_bound, segment_bound
+from mjcollect.course import Course
+from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top, plot_speed
+from mjcollect.progress import node_name
+from mjcollect.scene import Scene
+from mjcollect.tour import legs
+from mjcollect.verify import verify
+from train.flight_recorder import Flight
+from train.runs import RunFolder, versions
+
+TRAINED = ("success_rate", "train_seconds", "env_steps", "updates")
+
+
+def mission_result(
+    course: Course,
+    order: tuple[int, ...],
+    order_method: str,
+    flight: Flight,
+    trained: Sequence[dict[str, Any] | None],
+    seed: int,
+) -> dict[str, Any]:
+    """The document of mission.json.
+
+    Args:
+        trained: segment.json of each segment, None where nothing was trained.
+    """
+    scene = course.scene
+    violations = [entry.to_dict() for entry in verify(scene, flight.trajectory, order)]
+    success = flight.success and not violations
+    bound, method = mission_bound(scene)
+    segments, begun = [], 0.0
+    for index, (frm, to) in enumerate(legs(order)):
+        reached = index < len(flight.arrivals)
+        taught = trained[index] or {}
+        segments.append(
+            {
+                "from": frm,
+                "to": to,
+                "time": flight.arrivals[index] - begun if reached else None,
+                "lower_bound": segment_bound(scene, frm, to),
+                "detour_time": detour_bound(scene, frm, to, course.guidance[index].length),
+                "success": reached and not any(v["segment"] == index for v in violations),
+                **{key: taught.get(key) for key in TRAINED},
+            }
+        )
+        begun = flight.arrivals[index] if reached else begun
+    time = flight.trajectory.duration if success else None
+    spent = [entry["train_seconds"] for entry in segments if entry["train_seconds"] is not None]
+    return {
+        "scene": scene.name,
+        "order": list(order),
+        "order_method": order_method,
+        "success": success,
+        "mission_time": time,
+        "lower_bound": bound,
+        "bound_method": method,
+        "ratio": time / bound if time is not None and bound > 0 else None,
+        "detour_time": sum(entry["detour_time"] for entry in segments),
+        "contacts": flight.contacts,
+        "violations": violations,
+        "segments": segments,
+        "train_seconds": sum(spent) if spent else None,
+        "seed": seed,
+        "versions": versions(),
+    }
+
+
+def write_flight(folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight) -> None:
+    """trajectory.csv and the plots of the flight."""
+    scene = course.scene
+    folder.write("trajectory.csv", flight.trajectory.save)
+    flown = (scene, flight.trajectory, order)
+    folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
+    folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
+    folder.write("speed.png", lambda part: plot_speed(part, *flown))
+
+
+def write_learning(folder: RunFolder, segments: int) -> None:
+    """learning.png of all segments, from their metrics.csv."""
+    columns: dict[str, list[float]] = {}
+    for index in range(segments):
+        for row in read_metrics(folder.path / "segments" / str(index) / "metrics.csv"):
+            for name, value in {"segment": float(index), **row}.items():
+                columns.setdefault(name, []).append(value)
+    if columns:
+        folder.write("learning.png", lambda part: plot_learning(part, columns))
+
+
+def read_metrics(path: Path) -> list[dict[str, float]]:
+    """Rows of a metrics.csv, NaN for empty cells; none if the file is not there."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            {name: float(cell) if cell else float("nan") for name, cell in row.items()}
+            for row in csv.DictReader(file)
+        ]
+
+
+def report(scene: Scene, result: dict[str, Any], video: bool, notes: Sequence[str] = ()) -> str:
+    """One page in Markdown: verdict, table of segments, pictures."""
+    lines = [f"# Mission in {scene.name}", ""]
+    if result["success"]:
+        lines.append(
+            f"**Success**: {len(result['order'])} items in **{result['mission_time']:.1f} s**, "
+            f"{_ratio(result['mission_time'], result['lower_bound'])} of the lower bound of "
+            f"{result['lower_bound']:.1f} s ({result['bound_method']}), "
+            f"{_ratio(result['mission_time'], result['detour_time'])} of the detour estimate of "
+            f"{result['detour_time']:.1f} s in this order."
+        )
+    else:
+        lines += ["**No success.**", ""]
+        lines += [f"- {describe(violation)}" for violation in result["violations"]]
+    if "planner" in result:
+        lines += ["", f"Planner: {result['planner']}."]
+    lines += ["", *(f"- {note}" for note in notes)]
+    lines += [
+        "",
+        f"Order ({result['order_method']}): depot, {', '.join(map(str, result['order']))}, depot. "
+        f"Seed {result['seed']}.",
+        "",
+        "| segment | from | to | time (s) | bound (s) | ratio | detour (s) | of detour "
+        "| success rate | training (s) | updates |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for index, entry in enumerate(result["segments"]):
+        lines.append(
+            f"| {index} | {node_name(entry['from'])} | {node_name(entry['to'])} "
+            f"| {_number(entry['time'], 1)} | {_number(entry['lower_bound'], 2)} "
+            f"| {_ratio(entry['time'], entry['lower_bound'])} "
+            f"| {_number(entry['detour_time'], 2)} "
+            f"| {_ratio(entry['time'], entry['detour_time'])} "
+            f"| {_number(entry['success_rate'], 2)} | {_number(entry['train_seconds'], 0)} "
+            f"| {_number(entry['updates'], 0)} |"
+        )
+    lines += [
+        "",
+        "Success rate: share of starts all over the segment's start ball from which the policy "
+        "arrives, in training's last evaluation. Bound: no flight can be shorter. Detour: estimate "
+        "of the least time along the shortest free path.",
+        "",
+        *(["[Video](mission.mp4)", ""] if video else []),
+        "![Flown path](path_3d.png)",
+        "![Top view](path_top.png)",
+        "![Speed and acceleration](speed.png)",
+    ]
+    if any(entry["updates"] for entry in result["segments"]):
+        lines.append("![Learning curves](learning.png)")
+    return "\n".join(lines) + "\n"
+
+
+def describe(violation: dict[str, Any]) -> str:
+    """A violation as a sentence."""
+    where = "" if violation["segment"] is None else f" in segment {violation['segment']}"
+    when = "" if violation["t"] is None else f" at {violation['t']:.2f} s"
+    value = "" if violation["value"] is None else f": {violation['value']:.4g}"
+    limit = "" if violation["limit"] is None else f" against a limit of {violation['limit']:.4g}"
+    return f"{violation['kind']}{where}{when}{value}{limit}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _ratio(value: float | None, of: float) -> str:
+    return "-" if value is None or of <= 0 else f"{value / of:.3f}"
