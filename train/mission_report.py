@@ -167,6 +167,13 @@ def describe(violation: dict[str, Any]) -> str:
     return f"{violation['kind']}{where}{when}{value}{limit}"
 
 
+def reason(result: dict[str, Any]) -> str:
+    """Why a mission is no success, in one sentence: what ended it rather than what it missed."""
+    causes = ("contact", "bounds", "speed", "acceleration", "timestep", "start")
+    violations = sorted(result["violations"], key=lambda v: v["kind"] not in causes)
+    return describe(violations[0]) if violations else "not finished"
+
+
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 

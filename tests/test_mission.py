@@ -1,0 +1,226 @@
+"""`python -m train.mission` and `python -m train.fly`, with tiny budgets."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from mjcollect.bounds import mission_bound
+from mjcollect.scene import Scene
+from mjcollect.trajectory import Trajectory
+from mjcollect.verify import verify
+from train.fly import main as fly
+from train.fly import scene_difference
+from train.mission import main as mission
+
+TINY = (  # noqa: SIM905 - reads like the command line
+    "--updates 24 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 --u2 4 "
+    "--demonstrations 64 --eval-every 8 --eval-episodes 2 --threads 1 --no-video "
+    "--checkpoint-every 8"
+).split()
+KEYS = {
+    "scene", "order", "order_method", "success", "mission_time", "lower_bound", "bound_method",
+    "ratio", "detour_time", "contacts", "violations", "segments", "train_seconds", "seed",
+    "versions",
+}  # fmt: skip
+SEGMENT_KEYS = {
+    "from", "to", "time", "lower_bound", "detour_time", "success", "success_rate",
+    "train_seconds", "env_steps", "updates",
+}  # fmt: skip
+FILES = {
+    "config.json", "command.txt", "scene.json", "mission.json", "trajectory.csv", "path_3d.png",
+    "path_top.png", "learning.png", "speed.png", "segments", "report.md",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    """Two items in a flat room, with room around the depot."""
+    path = tmp_path_factory.mktemp("scene") / "pair.json"
+    Scene(
+        name="pair",
+        seed=0,
+        bounds=[[0, 0, 0], [150, 150, 30]],
+        depot=[75, 20, 15],
+        items=[[75, 120, 15], [120, 60, 15]],
+        obstacles=[[[85, 80, 0], [105, 100, 30]]],
+    ).save(path)
+    return path
+
+
+def run(scene_file, out, *more):
+    arguments = ["--scene", str(scene_file), "--out", str(out), *TINY, "--retries", "0", *more]
+    return mission(arguments)
+
+
+@pytest.fixture(scope="module")
+def finished(scene_file, tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "mission"
+    return out, run(scene_file, out)
+
+
+def test_leaves_the_files_of_the_contract(finished):
+    out, code = finished
+    result = json.loads((out / "mission.json").read_text())
+    assert {path.name for path in out.iterdir()} == FILES
+    assert set(result) == KEYS
+    assert all(set(entry) == SEGMENT_KEYS for entry in result["segments"])
+    assert [(e["from"], e["to"]) for e in result["segments"]] == [(-1, 0), (0, 1), (1, -1)]
+    assert code == (0 if result["success"] else 1)
+    assert {path.name for path in (out / "segments").iterdir()} == {"0", "1", "2"}
+
+
+def test_result_agrees_with_its_trajectory(finished, scene_file):
+    out, _ = finished
+    result = json.loads((out / "mission.json").read_text())
+    scene, flown = Scene.load(scene_file), Trajectory.load(out / "trajectory.csv")
+    found = verify(scene, flown, result["order"])
+    assert [violation.to_dict() for violation in found] == result["violations"]
+    assert result["lower_bound"] == pytest.approx(mission_bound(scene)[0])
+    assert result["success"] == (not found)
+    text = (out / "report.md").read_text()
+    assert ("**Success**" in text) == result["success"]
+    assert "| 2 | item 1 | depot |" in text
+
+
+def test_same_result_with_other_workers_and_after_kills(finished, scene_file, tmp_path):
+    """One worker, killed again and again with SIGKILL, flies what two undisturbed ones did."""
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "train.mission", "--scene", scene_file, "--out", out, *TINY]
+    command += ["--retries", "0", "--workers", "1", "--resume"]
+    for pause in (5.0, 9.0):
+        process = subprocess.Popen(
+            [str(part) for part in command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        time.sleep(pause)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert run(scene_file, out, "--workers", "1", "--resume") == finished[1]
+    for name in ("trajectory.csv", "segments/1/metrics.csv", "segments/2/trajectory.csv"):
+        assert (out / name).read_bytes() == (finished[0] / name).read_bytes(), name
+
+
+def test_ctrl_c_exits_130_after_saving(scene_file, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "train.mission", "--scene", scene_file, "--out", out, *TINY]
+    process = subprocess.Popen(
+        [str(part) for part in (*command, "--updates", "100000")],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while not list(out.glob("segments/*/metrics.csv")):
+        assert process.poll() is None
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert "--resume" in error
+    assert "Traceback" not in error
+    assert list(out.glob("segments/*/checkpoint"))
+
+
+def test_an_imperfect_segment_is_trained_again_and_the_report_says_so(scene_file, tmp_path):
+    out = tmp_path / "out"
+    run(scene_file, out, "--retries", "1", "--updates", "4", "--demonstrations", "0")
+    tried = {path.name.split("-")[0] for path in (out / "attempts").iterdir()}
+    assert tried == {"0", "1", "2"}  # four updates teach nothing
+    seeds = [json.loads(p.read_text())["seed"] for p in out.glob("*/0*/config.json")]
+    assert len(set(seeds)) == 2
+    text = (out / "report.md").read_text()
+    assert "Segment 0 was trained 2 times" in text
+    assert "**No success.**" in text
+
+
+def test_fly_repeats_the_mission_exactly(finished, tmp_path):
+    out, code = finished
+    assert fly(["--run", str(out), "--out", str(tmp_path / "again"), "--no-video"]) == code
+    again = tmp_path / "again"
+    assert (again / "trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
+    result = json.loads((again / "mission.json").read_text())
+    assert result.pop("planner") == "policy"
+    assert result == json.loads((out / "mission.json").read_text())
+
+
+def test_fly_refuses_another_scene_and_names_the_difference(finished, tmp_path, capsys):
+    changed = tmp_path / "run"
+    shutil.copytree(finished[0], changed)
+    document = json.loads((changed / "scene.json").read_text())
+    document["items"][1][0] = 121.0
+    (changed / "scene.json").write_text(json.dumps(document))
+    assert fly(["--run", str(changed), "--out", str(tmp_path / "out"), "--no-video"]) == 2
+    error = capsys.readouterr().err
+    assert "items[1]" in error
+    assert "121.0" in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_scene_difference_finds_each_field():
+    scene = Scene.find("scenario_1")
+    assert scene_difference(scene, Scene.find("scenario_1")) is None
+    document = scene.to_dict()
+    for field, value in document.items():
+        if isinstance(value, int | float):
+            other = Scene(**_arguments(document | {field: value * 1 + 1}, field))
+            assert scene_difference(scene, other).startswith(field)
+
+
+def _arguments(document, field):
+    box = [document["bounds"]["min"], document["bounds"]["max"]]
+    boxes = [[b["min"], b["max"]] for b in document["obstacles"]]
+    if field == "slot":
+        document["physics_step"] = 0.02
+    if field == "physics_step":
+        document["physics_step"] = 0.1
+    return document | {"bounds": box, "obstacles": boxes}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "--run"),
+        (["--scene", "scenario_1"], "--planner"),
+        (["--run", "nowhere"], "mission.json"),
+        (["--scene", "nowhere.json", "--planner", "guidance"], "does not exist"),
+    ],
+)
+def test_fly_says_what_is_missing(arguments, message, tmp_path, capsys):
+    assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_guidance_law_flies_a_whole_mission(tmp_path):
+    out = tmp_path / "out"
+    code = fly(["--scene", "scenario_1", "--planner", "guidance", "--out", str(out), "--no-video"])
+    result = json.loads((out / "mission.json").read_text())
+    assert (code, result["success"], result["planner"]) == (0, True, "guidance")
+    assert 1.0 <= result["ratio"] < 1.15
+    assert np.isclose(sum(e["time"] for e in result["segments"]), result["mission_time"])
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--workers", "0"], "workers"),
+        (["--retries", "-1"], "retries"),
+        (["--order", "exactly"], "order"),
+        (["--updates", "0"], "updates"),
+    ],
+)
+def test_bad_arguments_write_nothing(scene_file, tmp_path, capsys, more, message):
+    assert run(scene_file, tmp_path / "out", *more) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_ray_gives_the_same_as_local_workers(finished, scene_file, tmp_path):
+    pytest.importorskip("ray", reason="Ray is an optional extra")
+    out = tmp_path / "out"
+    assert run(scene_file, out, "--ray", "local") == finished[1]
+    assert (out / "trajectory.csv").read_bytes() == (finished[0] / "trajectory.csv").read_bytes()
