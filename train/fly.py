@@ -20,7 +20,7 @@ from mjcollect.guidance import GuidanceError
 from mjcollect.scene import Scene, SceneError
 from mjcollect.tour import TourError, order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law
-from train.mission_report import mission_result, reason, report, write_flight
+from train.mission_report import cause, mission_result, report, write_flight
 from train.policies import TrainedPolicy
 from train.runs import (
     BAD_INPUT,
@@ -190,7 +190,7 @@ def _finish(
             f"{result['ratio']:.3f} of the lower bound: {where}"
         )
         return 0
-    print(f"no success ({reason(result)}): {where}")
+    print(f"no success ({cause(result)}): {where}")
     return 1
 
 

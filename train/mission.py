@@ -21,7 +21,7 @@ from mjcollect.tour import TourError, order_label, plan_order
 from train.flight_recorder import fly
 from train.learn import LearnConfig
 from train.mission_display import MissionDisplay
-from train.mission_report import mission_result, reason, report, write_flight, write_learning
+from train.mission_report import cause, mission_result, report, write_flight, write_learning
 from train.policies import TrainedPolicy
 from train.runs import (
     BAD_INPUT,
@@ -280,7 +280,7 @@ def _finish(folder: RunFolder, video: bool) -> int:
             f"{result['ratio']:.3f} of the lower bound: {where}"
         )
         return 0
-    print(f"no success ({reason(result)}): {where}")
+    print(f"no success ({cause(result)}): {where}")
     return 1
 
 

@@ -167,7 +167,7 @@ def describe(violation: dict[str, Any]) -> str:
     return f"{violation['kind']}{where}{when}{value}{limit}"
 
 
-def reason(result: dict[str, Any]) -> str:
+def cause(result: dict[str, Any]) -> str:
     """Why a mission is no success, in one sentence: what ended it rather than what it missed."""
     causes = ("contact", "bounds", "speed", "acceleration", "timestep", "start")
     violations = sorted(result["violations"], key=lambda v: v["kind"] not in causes)
