@@ -122,6 +122,7 @@ def train_mission(args: Args) -> int:
     if args.resume and saved.is_file() and Scene.load(saved) != scene:
         raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
+    say("computing the guidance of every segment")
     course = Course.mission(scene, order)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
