@@ -30,12 +30,14 @@ class Course:
     Attributes:
         scene: the scene.
         nodes: start node, then the targets in turn; item index, or -1 for the depot.
+        before: items collected before the course begins.
         guidance: one per target, from the node before.
         step_limit: slots after which an episode is cut off (P).
     """
 
     scene: Scene
     nodes: tuple[int, ...]
+    before: tuple[int, ...] = ()
     guidance: tuple[Guidance, ...] = field(init=False)
     step_limit: int = field(init=False)
 
@@ -67,7 +69,7 @@ class Course:
                 f"segment: {index}: must be 0 to {len(order)}: a tour of {len(order)} items has "
                 f"{len(order) + 1} segments"
             )
-        return cls(scene, legs(order)[index])
+        return cls(scene, legs(order)[index], before=tuple(order[:index]))
 
     @classmethod
     def mission(cls, scene: Scene, order: tuple[int, ...]) -> Course:

@@ -114,6 +114,10 @@ class DistanceField:
         """Positions (n, 3) of grid nodes (n, 3)."""
         return np.asarray(self._low + nodes * self.h)
 
+    def forget_nodes(self) -> None:
+        """Free what only `entry` and `descend` need; a mission holds a field per segment."""
+        del self._distance, self._free
+
     def query(self, q: Array) -> tuple[Array, Array]:
         """Interpolated distance (N,) and minus its gradient (N, 3) at q; NaN where undefined."""
         last = np.array(self._shape) - 2

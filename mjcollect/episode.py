@@ -106,7 +106,10 @@ class Episodes:
             self._depot[index] = scene.depot
         self.q, self.v = np.zeros((count, 3)), np.zeros((count, 3))
         self.target = self._first.copy()
-        self.collected = np.zeros((count, most), dtype=bool)
+        self._before = np.zeros((count, most), dtype=bool)
+        for index, w in enumerate(which):
+            self._before[index, list(distinct[w].before)] = True
+        self.collected = self._before.copy()
         self.steps = np.zeros(count, dtype=np.int64)
         self.crashed = np.zeros(count, dtype=bool)
         self._stop = np.zeros(count, dtype=bool)
@@ -120,7 +123,7 @@ class Episodes:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
         self.q[which], self.v[which] = q, v
         self.target[which] = self._first[which]
-        self.collected[which] = False
+        self.collected[which] = self._before[which]
         self.steps[which] = 0
         self.crashed[which] = False
         self._approach = self._look()

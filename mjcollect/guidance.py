@@ -16,7 +16,9 @@ from mjcollect.geometry import Array, inflate, point_box_distance, segment_clear
 from mjcollect.scene import Scene
 
 COARSE, FINE = 100, 200  # cells along the longest axis: 10 m and 5 m in a 1 km cube
-FINE_SLACK = 60.0  # metres by which ways through the finer field may be longer than the coarse one
+# Metres by which ways through the finer field may be longer than the coarse one: at most, and as a
+# share of the bounds' longest side.
+FINE_SLACK, FINE_SLACK_SHARE = 60.0, 0.06
 AIM_ROOM = 2.0  # metres wanted between an aim and boxes or bounds
 AIM_SHARE = 0.7  # of the tolerance: how far an aim may lie from its goal
 SIGHT_CLEARANCE = 3.0  # metres beyond the body for the line of sight to the aim
@@ -55,24 +57,32 @@ class Guidance:
         margin = np.clip(0.99 * beside, scene.uav_radius, scene.uav_radius + SIGHT_CLEARANCE)
         self._keep = inflate(scene.obstacles, margin)
         self._fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
-        within = None
+        self.path = self._find_path(start)
+        for field in self._fields:
+            field.forget_nodes()
+
+    def _find_path(self, start: Array) -> Array:
+        """The shortest tight free path found; adds the finer field where the way bends."""
+        scene, coarse, within = self.scene, None, None
         if self._fields[0].entry(start) is not None:
-            self.path = way_down(self._fields[0], scene, start, self.aim)
-            if len(self.path) == 2:
-                return
-            within = (start, path_length(self.path) + FINE_SLACK)
+            coarse = way_down(self._fields[0], scene, start, self.aim)
+            if len(coarse) == 2:
+                return coarse
+            slack = min(FINE_SLACK, FINE_SLACK_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
+            within = (start, path_length(coarse) + slack)
         fine = DistanceField(scene, self.aim, FINE, within)
         shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
         if fine.entry(start) is not None:
             self._fields.append(fine)
             ways = [way_down(field, scene, start, self.aim) for field in (fine, shortest)]
-            self.path = min(ways if within is None else [self.path, *ways], key=path_length)
-        elif within is None:
+            return min(ways if coarse is None else [coarse, *ways], key=path_length)
+        if coarse is None:
             raise GuidanceError(
-                f"no passage from {start.tolist()} to {_name(node)} was found on a grid of "
+                f"no passage from {start.tolist()} to {_name(self.node)} was found on a grid of "
                 f"{np.max(fine.h):.3g} m: widen the gaps between the obstacles to two cells, or "
                 "move the item"
             )
+        return coarse
 
     @property
     def length(self) -> float:

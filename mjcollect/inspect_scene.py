@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         scene = Scene.find(args.file)
         order = plan_order(scene, args.order, seed=args.seed)
-    except (SceneError, TourError) as error:
+    except (SceneError, TourError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     if args.json:

@@ -16,7 +16,9 @@ from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
 from train.fly import scene_difference
+from train.mission import _keep_best
 from train.mission import main as mission
+from train.runs import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--updates 24 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 --u2 4 "
@@ -136,6 +138,66 @@ def test_an_imperfect_segment_is_trained_again_and_the_report_says_so(scene_file
     assert "**No success.**" in text
 
 
+def test_the_best_training_is_kept_however_often_it_is_asked(tmp_path):
+    """Also where none is better than another, and after a stop between the two renames."""
+    for name in ("segments/0", "attempts/0-0", "attempts/0-1"):
+        (tmp_path / name).mkdir(parents=True)
+        result = {"success": False, "success_rate": 0.0, "time": None, "name": name}
+        (tmp_path / name / "segment.json").write_text(json.dumps(result))
+    folder = RunFolder(tmp_path)
+
+    def kept():
+        _keep_best(folder, 0)
+        return json.loads((tmp_path / "segments/0/segment.json").read_text())["name"]
+
+    assert [kept(), kept()] == ["segments/0"] * 2
+    better = {"success": True, "success_rate": 0.5, "time": 3.0, "name": "better"}
+    (tmp_path / "attempts/0-1/segment.json").write_text(json.dumps(better))
+    (tmp_path / "segments/0").rename(tmp_path / "attempts/0-2")
+    assert [kept(), kept()] == ["better"] * 2
+
+
+def test_a_training_without_a_result_is_not_repeated(scene_file, tmp_path, capsys, monkeypatch):
+    """Python's exit code of an unforeseen error is 1 too."""
+    monkeypatch.setattr("train.workers.sys.executable", "/bin/false")
+    assert run(scene_file, tmp_path / "out") == 1
+    assert "segment 0: exit code 1" in capsys.readouterr().err
+
+
+def test_items_within_reach_of_the_depot_have_no_ratio(tmp_path, capsys):
+    scene = tmp_path / "near.json"
+    Scene(
+        name="near",
+        seed=0,
+        bounds=[[0, 0, 0], [20, 20, 20]],
+        depot=[5, 5, 5],
+        items=[[6, 5, 5]],
+        obstacles=[],
+    ).save(scene)
+    law = ["--planner", "guidance", "--scene", str(scene), "--no-video"]
+    assert fly([*law, "--out", str(tmp_path / "out")]) == 0
+    result = json.loads((tmp_path / "out" / "mission.json").read_text())
+    assert (result["lower_bound"], result["ratio"]) == (0.0, None)
+    assert "success: 1 items in 0.4 s" in capsys.readouterr().out
+
+
+def test_the_law_takes_no_credit_for_the_training(finished, tmp_path):
+    fly(
+        [
+            "--run",
+            str(finished[0]),
+            "--planner",
+            "guidance",
+            "--out",
+            str(tmp_path / "o"),
+            "--no-video",
+        ]
+    )
+    result = json.loads((tmp_path / "o" / "mission.json").read_text())
+    assert result["train_seconds"] is None
+    assert {entry["success_rate"] for entry in result["segments"]} == {None}
+
+
 def test_fly_repeats_the_mission_exactly(finished, tmp_path):
     out, code = finished
     assert fly(["--run", str(out), "--out", str(tmp_path / "again"), "--no-video"]) == code
@@ -210,6 +272,7 @@ def test_the_guidance_law_flies_a_whole_mission(tmp_path):
         (["--retries", "-1"], "retries"),
         (["--order", "exactly"], "order"),
         (["--updates", "0"], "updates"),
+        (["--ray", "nonsense"], "ray"),
     ],
 )
 def test_bad_arguments_write_nothing(scene_file, tmp_path, capsys, more, message):

@@ -171,3 +171,9 @@ def test_p_tells_what_is_collected(courses):
         )
         seen.append(episodes.observe()["p"][0].tolist())
     assert seen == [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]
+
+
+def test_p_of_a_segment_knows_the_items_before_it(courses):
+    """In the mission its policy sees what it saw in training."""
+    course = Course.segment(courses[1, 2].scene, (1, 0), 1)
+    assert observed(course, "paper", *states(3))["p"].tolist() == [[0.0, 1.0]] * 3

@@ -46,6 +46,19 @@ def test_resume_of_a_strange_folder_is_refused(tmp_path):
         RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=False)
 
 
+def test_resume_of_a_run_killed_before_its_config_begins_it(tmp_path):
+    for name in ("scene.json", ".part-command.txt"):
+        (tmp_path / name).write_text("{}")
+    RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=False)
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "file/below"])
+def test_impossible_folders_are_refused(tmp_path, name):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="cannot be used"):
+        RunFolder(tmp_path / name).check(CONFIG, resume=False, overwrite=False)
+
+
 def test_resume_and_overwrite_exclude_each_other(tmp_path):
     with pytest.raises(RunError, match="exclude"):
         RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=True)
@@ -103,6 +116,36 @@ def test_checkpoint_survives_a_stop_between_the_renames(folder):
     assert torch.equal(source.weight, target.weight)
     folder.save_checkpoint(net=source)
     assert not (folder.path / "checkpoint.old").exists()
+
+
+def test_the_old_checkpoint_stays_until_the_new_one_is_whole(folder, monkeypatch):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    folder.save_checkpoint(net=source)
+    (folder.path / "checkpoint").rename(folder.path / "checkpoint.old")
+    removed = []
+    monkeypatch.setattr("shutil.rmtree", lambda path, **_: removed.append((path.name, where())))
+
+    def where():
+        return (folder.path / "checkpoint").exists()
+
+    folder.save_checkpoint(net=source)
+    assert ("checkpoint.old", False) not in removed
+    assert folder.load_checkpoint(net=target)
+
+
+def test_a_full_disk_keeps_the_old_checkpoint(folder, monkeypatch):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    folder.save_checkpoint(net=source)
+
+    def fail(self, path):
+        raise RuntimeError("unable to resize file")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("train.runs.Checkpoint.save", fail)
+        with pytest.raises(OSError, match="unable to resize"):
+            folder.save_checkpoint(net=target)
+    assert folder.load_checkpoint(net=target)
+    assert torch.equal(source.weight, target.weight)
 
 
 def test_first_ctrl_c_asks_second_one_ends():

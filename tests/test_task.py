@@ -106,7 +106,7 @@ def test_same_seed_and_actions_same_episodes_other_seed_others(combination):
 def test_no_element_of_the_observation_is_constant(combination):
     """Over random play from all over the scene. It has four boxes, none padded.
 
-    Constant by nature: `p` of a segment, in which nothing is collected before the end (random
+    Constant by nature: `p` of a segment, in which nothing more is collected before the end (random
     play does not get that far either: the mission flown below checks it), and the axes of `l` on
     which a box spans the whole of the bounds, so that its nearest point is always level.
     """

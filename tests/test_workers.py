@@ -65,5 +65,8 @@ def test_a_packed_folder_unpacks_the_same(tmp_path):
     (tmp_path / "a" / "deep" / "x").write_bytes(b"\x00\x01")
     unpack(pack(tmp_path / "a"), tmp_path / "b")
     assert (tmp_path / "b" / "deep" / "x").read_bytes() == b"\x00\x01"
+    (tmp_path / "a" / "deep" / "x").rename(tmp_path / "a" / "y")
+    unpack(pack(tmp_path / "a"), tmp_path / "b")  # in its place: nothing of the old one stays
+    assert sorted(path.name for path in tmp_path.glob("b/**/*")) == ["deep", "y"]
     unpack(pack(tmp_path / "missing"), tmp_path / "c")
     assert not (tmp_path / "c").exists()

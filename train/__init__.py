@@ -1,4 +1,4 @@
-"""Command line programs: train, fly, evaluate. Each reads top to bottom."""
+"""Command line programs: train a segment, train a mission, fly. Each reads top to bottom."""
 
 import os
 import warnings

@@ -6,8 +6,6 @@ discount gamma, alpha_target, U_1 environment operations, then U_2 updates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -64,14 +62,6 @@ def _shrink_last(net: nn.Sequential) -> None:
     with torch.no_grad():
         last.weight.mul_(0.1)
         last.bias.zero_()
-
-
-@dataclass
-class Losses:
-    """Mean losses of a block of updates."""
-
-    critic: float
-    actor: float
 
 
 class Learner:

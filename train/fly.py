@@ -6,29 +6,23 @@ python -m train.fly --scene FILE --planner guidance
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import tyro
-
 from mjcollect.course import Course
-from mjcollect.guidance import GuidanceError
-from mjcollect.scene import Scene, SceneError
-from mjcollect.tour import TourError, order_label, plan_order
+from mjcollect.scene import Scene
+from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law
-from train.mission_report import cause, mission_result, report, write_flight
+from train.mission_report import mission_result, outcome, report, write_flight
 from train.policies import TrainedPolicy
 from train.runs import (
-    BAD_INPUT,
-    INTERRUPTED,
     RunError,
     RunFolder,
     default_folder,
-    one_thread,
+    run_program,
     say,
 )
 
@@ -57,15 +51,7 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    one_thread()
-    try:
-        return fly_mission(tyro.cli(Args, args=argv, prog="python -m train.fly"))
-    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
-        say(f"error: {error}")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted")
-        return INTERRUPTED
+    return run_program("train.fly", Args, fly_mission, argv)
 
 
 def fly_mission(args: Args) -> int:
@@ -74,6 +60,8 @@ def fly_mission(args: Args) -> int:
         raise RunError(
             "give --run DIR of a finished mission, or --scene FILE with --planner guidance"
         )
+    if args.seed < 0:
+        raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.run is None and args.planner == "policy":
         raise RunError(
             "--planner: policy: needs --run DIR with trained policies; train some with python -m "
@@ -83,7 +71,8 @@ def fly_mission(args: Args) -> int:
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
         segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
-        trained = [segment.read_json("segment.json") for segment in segments]
+        taught = args.planner == "policy"  # the law owes nothing to the training
+        trained = [segment.read_json("segment.json") if taught else None for segment in segments]
     else:
         scene, seed = Scene.find(args.scene or ""), args.seed
         order = plan_order(scene, args.order, seed=seed)
@@ -183,15 +172,8 @@ def _finish(
             say(f"no video: {reason}")
     filmed = (folder.path / "mission.mp4").is_file()
     folder.write_text("report.md", report(course.scene, result, filmed))
-    where = os.path.relpath(folder.path)
-    if result["success"]:
-        print(
-            f"success: {len(order)} items in {result['mission_time']:.1f} s, "
-            f"{result['ratio']:.3f} of the lower bound: {where}"
-        )
-        return 0
-    print(f"no success ({cause(result)}): {where}")
-    return 1
+    print(outcome(result, folder.path))
+    return 0 if result["success"] else 1
 
 
 if __name__ == "__main__":

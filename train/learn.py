@@ -77,21 +77,29 @@ class LearnConfig:
         Raises:
             ValueError: naming field, value and fix.
         """
-        for field in ("updates", "envs", "u1", "u2", "batch", "width", "eval_every", "threads"):
+        counts = ("updates", "envs", "u1", "u2", "batch", "width", "threads")
+        for field in (*counts, "eval_every", "eval_episodes"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be at least 1")
-        for field in ("extra_updates", "demonstrations", "noise_min"):
+        for field in ("extra_updates", "demonstrations"):
             if getattr(self, field) < 0:
                 raise ValueError(f"{field}: {getattr(self, field)}: must not be negative")
-        if self.eval_episodes < 1:
-            raise ValueError(f"eval_episodes: {self.eval_episodes}: must be at least 1")
-        if self.buffer < max(self.batch, self.envs):
+        for field in ("alpha_actor", "alpha_critic"):
+            if not 0.0 < getattr(self, field) < math.inf:
+                raise ValueError(f"{field}: {getattr(self, field)}: must be a positive number")
+        for field in ("alpha_target", "final_rate", "guided_share", "guided_until"):
+            if not 0.0 <= getattr(self, field) <= 1.0:
+                raise ValueError(f"{field}: {getattr(self, field)}: must lie between 0 and 1")
+        if self.buffer < max(self.batch, self.envs, self.demonstrations):
             raise ValueError(
-                f"buffer: {self.buffer}: must hold a batch of {self.batch} and one step of "
-                f"{self.envs} simulations"
+                f"buffer: {self.buffer}: must hold a batch of {self.batch}, one step of "
+                f"{self.envs} simulations, and {self.demonstrations} demonstrations"
             )
-        if self.noise_max < self.noise_min:
-            raise ValueError(f"noise_max: {self.noise_max}: must be at least {self.noise_min}")
+        if not 0.0 <= self.noise_min <= self.noise_max < math.inf:
+            raise ValueError(
+                f"noise_max: {self.noise_max}: must be at least noise_min = {self.noise_min}, "
+                "and both numbers from 0 on"
+            )
         Rules(self.observation, self.reward, self.gamma)
 
 
@@ -151,7 +159,8 @@ class Evaluator:
         while running.any():
             outcome = sims.step(policy(sims.observe().astype(np.float32)))
             total += np.where(running, outcome.reward, 0.0)
-            success |= running & outcome.success
+            # Where a crash does not end the episode, an arrival after one is no success.
+            success |= running & outcome.success & ~sims.episodes.crashed
             slots += running
             running &= ~(outcome.terminated | outcome.truncated)
         time = slots * sims.episodes.world.slot

@@ -15,25 +15,31 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from mjcollect.course import Course
-from mjcollect.guidance import GuidanceError
-from mjcollect.scene import Scene, SceneError
-from mjcollect.tour import TourError, order_label, plan_order
+from mjcollect.scene import Scene
+from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import fly
 from train.learn import LearnConfig
 from train.mission_display import MissionDisplay
-from train.mission_report import cause, mission_result, report, write_flight, write_learning
+from train.mission_report import mission_result, outcome, report, write_flight, write_learning
 from train.policies import TrainedPolicy
 from train.runs import (
-    BAD_INPUT,
     INTERRUPTED,
     RunError,
     RunFolder,
     default_folder,
-    one_thread,
+    run_program,
     say,
     stop_on_ctrl_c,
 )
-from train.workers import Done, Job, attempt_seed, learn_arguments, open_workers, run_jobs
+from train.workers import (
+    Done,
+    Job,
+    attempt_seed,
+    connect_ray,
+    learn_arguments,
+    open_workers,
+    run_jobs,
+)
 
 MOST_SEGMENT_VIDEOS = 10  # items; beyond this only the whole mission is filmed
 
@@ -80,15 +86,7 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    one_thread()
-    try:
-        return train_mission(tyro.cli(Args, args=argv, prog="python -m train.mission"))
-    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
-        say(f"error: {error}")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted; go on with --resume")
-        return INTERRUPTED
+    return run_program("train.mission", Args, train_mission, argv)
 
 
 def train_mission(args: Args) -> int:
@@ -124,6 +122,8 @@ def train_mission(args: Args) -> int:
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
     say("computing the guidance of every segment")
     course = Course.mission(scene, order)
+    if args.ray is not None:
+        connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
         if not _learn(args, folder, scene, order):
@@ -199,13 +199,15 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
 
     def retry(done: Done) -> Job | None:
         index = done.job.index
-        if done.code not in (0, 1):
+        # Python ends with 1 after any error: only a result says that it was no success.
+        if done.code not in (0, 1) or not (done.job.folder / "segment.json").is_file():
             raise TrainingError(f"segment {index}: exit code {done.code}: {done.message}")
         display.finished(index)
         return job(index)
 
     display = MissionDisplay(folder.path, scene, order, args.learn.updates)
-    with stop_on_ctrl_c() as stopped, display, open_workers(args.workers, args.ray) as workers:
+    opened = open_workers(args.workers, ray=args.ray is not None)
+    with stop_on_ctrl_c() as stopped, display, opened as workers:
 
         def tick() -> bool:
             display.update()
@@ -240,7 +242,8 @@ def _keep_best(folder: RunFolder, index: int) -> None:
 
     segment = _segment_folder(folder, index).path
     tried = _attempts(folder, index)
-    best = max([*tried, segment] if segment.exists() else tried, key=rank)
+    # The segment's own first: it stays where others are no better, so doing this again is safe.
+    best = max([segment, *tried] if segment.exists() else tried, key=rank)
     if best != segment:
         if segment.exists():
             _set_aside(folder, index, len(tried))
@@ -260,29 +263,32 @@ def _notes(folder: RunFolder, segments: int) -> list[str]:
     return notes
 
 
+def _film(folder: RunFolder, items: int) -> None:
+    """Render what videos are missing: of the mission, and of segments stopped before theirs."""
+    from mjcollect.render import render_in_child
+
+    wanted = [(folder.path, "mission.mp4")]
+    if items <= MOST_SEGMENT_VIDEOS:
+        segments = (_segment_folder(folder, index) for index in range(items + 1))
+        wanted += [(segment.path, "segment.mp4") for segment in segments]
+    for path, name in wanted:
+        if not (path / name).is_file() and (reason := render_in_child(path)):
+            say(f"no video: {reason}")
+            return
+
+
 def _finish(folder: RunFolder, video: bool) -> int:
     """Render what is missing, write the report, print the result; 0 if it is a success."""
     result = folder.read_json("mission.json")
     assert result is not None
-    if video and not (folder.path / "mission.mp4").is_file():
-        from mjcollect.render import render_in_child
-
-        reason = render_in_child(folder.path)
-        if reason:
-            say(f"no video: {reason}")
+    if video:
+        _film(folder, len(result["order"]))
     notes = _notes(folder, len(result["segments"]))
     scene = Scene.load(folder.path / "scene.json")
     filmed = (folder.path / "mission.mp4").is_file()
     folder.write_text("report.md", report(scene, result, filmed, notes))
-    where = os.path.relpath(folder.path)
-    if result["success"]:
-        print(
-            f"success: {len(result['order'])} items in {result['mission_time']:.1f} s, "
-            f"{result['ratio']:.3f} of the lower bound: {where}"
-        )
-        return 0
-    print(f"no success ({cause(result)}): {where}")
-    return 1
+    print(outcome(result, folder.path))
+    return 0 if result["success"] else 1
 
 
 if __name__ == "__main__":

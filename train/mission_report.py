@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -145,8 +146,8 @@ def report(scene: Scene, result: dict[str, Any], video: bool, notes: Sequence[st
     lines += [
         "",
         "Success rate: share of starts all over the segment's start ball from which the policy "
-        "arrives, in training's last evaluation. Bound: no flight can be shorter. Detour: estimate "
-        "of the least time along the shortest free path.",
+        "arrives, in the evaluation that chose it. Bound: no flight can be shorter. Detour: "
+        "estimate of the least time along the shortest free path.",
         "",
         *(["[Video](mission.mp4)", ""] if video else []),
         "![Flown path](path_3d.png)",
@@ -165,6 +166,16 @@ def describe(violation: dict[str, Any]) -> str:
     value = "" if violation["value"] is None else f": {violation['value']:.4g}"
     limit = "" if violation["limit"] is None else f" against a limit of {violation['limit']:.4g}"
     return f"{violation['kind']}{where}{when}{value}{limit}"
+
+
+def outcome(result: dict[str, Any], folder: Path) -> str:
+    """The result in one line, for the user."""
+    where = os.path.relpath(folder)
+    if not result["success"]:
+        return f"no success ({cause(result)}): {where}"
+    ratio = "" if result["ratio"] is None else f", {result['ratio']:.3f} of the lower bound"
+    time = f"{result['mission_time']:.1f} s"
+    return f"success: {len(result['order'])} items in {time}{ratio}: {where}"
 
 
 def cause(result: dict[str, Any]) -> str:

@@ -16,14 +16,18 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
+import tyro
 from torchrl.checkpoint import Checkpoint
 from tqdm import tqdm
 
-from mjcollect.scene import Scene
+from mjcollect.guidance import GuidanceError
+from mjcollect.scene import Scene, SceneError
+from mjcollect.tour import TourError
 
+T = TypeVar("T")
 INTERRUPTED = 130
 BAD_INPUT = 2
 VERSIONED = (
@@ -42,6 +46,8 @@ RUN_FILES = (
     "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
     "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "report.md",
 )  # fmt: skip
+BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
+SPACE = 1_000_000  # bytes; with less a run is not begun
 
 
 class RunError(Exception):
@@ -69,6 +75,14 @@ class RunFolder:
         """
         if resume and overwrite:
             raise RunError("--resume and --overwrite exclude each other: give one of them")
+        try:
+            self._check_usable(config, resume, overwrite)
+        except OSError as error:
+            raise RunError(
+                f"--out: {self.path}: cannot be used ({error.strerror}); choose another folder"
+            ) from None
+
+    def _check_usable(self, config: dict[str, Any], resume: bool, overwrite: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"--out: {self.path}: is a file; name a folder")
         if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
@@ -78,11 +92,17 @@ class RunFolder:
                     "--overwrite to start anew, or another folder"
                 )
             self._check_same(config)
-        self._check_writable()
+        parent = self.path
+        while not parent.exists():
+            parent = parent.parent
+        with tempfile.TemporaryFile(dir=parent) as file:  # a full disk takes an empty file
+            file.write(bytes(SPACE))
 
     def _check_same(self, config: dict[str, Any]) -> None:
         saved = self.read_json("config.json")
         if saved is None:
+            if all(entry.name.startswith(BEGINNING) for entry in self.path.iterdir()):
+                return  # stopped before config.json, which `create` writes last
             raise RunError(
                 f"--resume: {self.path}: holds no config.json of a run; name the run's folder"
             )
@@ -92,18 +112,6 @@ class RunFolder:
                     f"--resume: {key}: {config.get(key)!r} differs from {saved.get(key)!r} in "
                     f"{self.path / 'config.json'}; give the same value, or another --out"
                 )
-
-    def _check_writable(self) -> None:
-        parent = self.path
-        while not parent.exists():
-            parent = parent.parent
-        try:
-            with tempfile.TemporaryFile(dir=parent):
-                pass
-        except OSError as error:
-            raise RunError(
-                f"--out: {self.path}: cannot be written ({error.strerror}); choose another folder"
-            ) from None
 
     def create(self, config: dict[str, Any], scene: Scene, *, overwrite: bool) -> None:
         """Make the folder with config.json, command.txt and scene.json.
@@ -191,10 +199,14 @@ class RunFolder:
         """Write checkpoint/ beside the old one, then swap: one of them is always whole."""
         new, old = self.path / ".part-checkpoint", self.path / "checkpoint.old"
         current = self.path / "checkpoint"
-        shutil.rmtree(new, ignore_errors=True)
-        Checkpoint(**components).save(new)
-        shutil.rmtree(old, ignore_errors=True)
+        for stale in self.path.glob(".*part-checkpoint*"):  # TorchRL's own staging folder too
+            shutil.rmtree(stale, ignore_errors=True)
+        try:
+            Checkpoint(**components).save(new)
+        except RuntimeError as error:  # torch's way to say that the disk is full
+            raise OSError(f"{current}: cannot be written: {error}") from error
         if current.exists():
+            shutil.rmtree(old, ignore_errors=True)
             current.rename(old)
         new.rename(current)
         shutil.rmtree(old, ignore_errors=True)
@@ -222,14 +234,6 @@ def versions() -> dict[str, str]:
     return found
 
 
-def one_thread() -> None:
-    """One torch thread: parallelism comes from MuJoCo's threads and from processes.
-
-    With two torch threads on a busy two-core machine, updates were twenty times slower.
-    """
-    torch.set_num_threads(1)
-
-
 @contextlib.contextmanager
 def stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
     """Gives a function that says whether Ctrl-C was pressed; a second one ends at once."""
@@ -246,6 +250,32 @@ def stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
         yield lambda: pressed
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def run_program(
+    name: str, args_class: type[T], program: Callable[[T], int], argv: list[str] | None
+) -> int:
+    """Parse the command line and run a program; the exit code of the contract.
+
+    A user's mistake is one message and code 2, Ctrl-C is code 130, a full disk is code 1.
+    """
+    torch.set_num_threads(1)  # with two on a busy two-core machine, updates were 20 times slower
+    try:
+        args = tyro.cli(args_class, args=argv, prog=f"python -m {name}")
+    except ValueError as error:  # from a settings class: field, value and fix
+        say(f"error: {error}")
+        return BAD_INPUT
+    try:
+        return program(args)
+    except (SceneError, TourError, GuidanceError, RunError) as error:
+        say(f"error: {error}")
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted; go on with --resume")
+        return INTERRUPTED
+    except OSError as error:  # a full disk, say: what was written is whole
+        say(f"error: {error}; when mended, go on with --resume")
+        return 1
 
 
 def progress_bar(total: int, unit: str = "update") -> tqdm:

@@ -10,6 +10,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,21 +20,20 @@ import tyro
 
 from mjcollect.bounds import detour_bound, segment_bound
 from mjcollect.course import Course
-from mjcollect.guidance import GuidanceError
 from mjcollect.inspect_scene import first_blocked
-from mjcollect.scene import Scene, SceneError
-from mjcollect.tour import TourError, legs, plan_order
+from mjcollect.progress import node_name
+from mjcollect.scene import Scene
+from mjcollect.tour import legs, plan_order
 from mjcollect.verify import verify
 from train.flight_recorder import fly
 from train.learn import LearnConfig, Trainer
 from train.runs import (
-    BAD_INPUT,
     INTERRUPTED,
     RunError,
     RunFolder,
     default_folder,
-    one_thread,
     progress_bar,
+    run_program,
     say,
     stop_on_ctrl_c,
     versions,
@@ -72,15 +72,7 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    one_thread()
-    try:
-        return train_segment(tyro.cli(Args, args=argv, prog="python -m train.segment"))
-    except (SceneError, TourError, GuidanceError, RunError, ValueError) as error:
-        say(f"error: {error}")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted; go on with --resume")
-        return INTERRUPTED
+    return run_program("train.segment", Args, train_segment, argv)
 
 
 def train_segment(args: Args) -> int:
@@ -141,6 +133,7 @@ def _learn(trainer: Trainer, folder: RunFolder, args: Args) -> bool:
     parts: dict[str, Any] = {"trainer": trainer, "buffer": trainer.buffer}
     if args.resume and folder.load_checkpoint(**parts):
         say(f"resuming after {trainer.learner.updates} updates")
+        folder.write_metrics(trainer.rows)  # cut back to the checkpoint
     goal = segment_bound(trainer.course.scene, *trainer.course.nodes)
     saved, shown = trainer.learner.updates, len(trainer.rows)
     begun, before = time.monotonic(), trainer.seconds
@@ -220,6 +213,8 @@ def _finish(
             "versions": versions(),
         },
     )
+    # A finished run needs no replay buffer, by far the largest part of a checkpoint.
+    folder.save_checkpoint(trainer=trainer)
 
 
 def _report(folder: RunFolder, video: bool) -> int:
@@ -245,9 +240,8 @@ def _report(folder: RunFolder, video: bool) -> int:
     return 1
 
 
-def _legend(order: list[int] | tuple[int, ...], index: int) -> str:
-    names = ["depot" if node < 0 else f"item {node}" for node in legs(order)[index]]
-    return " -> ".join(names)
+def _legend(order: Sequence[int], index: int) -> str:
+    return " -> ".join(node_name(node) for node in legs(order)[index])
 
 
 if __name__ == "__main__":

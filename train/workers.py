@@ -11,6 +11,7 @@ import ctypes
 import dataclasses
 import io
 import queue
+import shutil
 import signal
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from train.learn import LearnConfig, stream
+from train.runs import RunError
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,8 @@ class LocalWorkers:
                 preexec_fn=_end_with_parent,
             )
             self._running.add(process)
+            if self._stopping:  # `stop` may have looked before this one was there
+                process.send_signal(signal.SIGINT)
             output, _ = process.communicate()
             self._running.discard(process)
             self._done.put(Done(job, process.returncode, _last_line(output)))
@@ -134,20 +138,11 @@ class RayWorkers:
     a stopped mission had not received is trained again.
     """
 
-    def __init__(self, address: str) -> None:
-        """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
-
-        Raises:
-            ImportError: Ray is not installed. ConnectionError: no cluster answers.
-        """
+    def __init__(self) -> None:
+        """Use the cluster of `connect_ray`."""
         import ray
 
         self._ray = ray
-        ray.init(
-            address=None if address == "local" else address,
-            log_to_driver=False,
-            include_dashboard=False if address == "local" else None,
-        )
         self._task = ray.remote(num_cpus=1, max_retries=2)(_run_packed)
         self._jobs: dict[Any, Job] = {}
 
@@ -173,6 +168,24 @@ class RayWorkers:
         self._ray.shutdown()
 
 
+def connect_ray(address: str) -> None:
+    """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
+
+    Raises:
+        RunError: no cluster answers there.
+    """
+    import ray
+
+    try:
+        ray.init(
+            address=None if address == "local" else address,
+            log_to_driver=False,
+            include_dashboard=False if address == "local" else None,
+        )
+    except (ConnectionError, ValueError) as error:
+        raise RunError(f"--ray: {address}: {error}; start the cluster, or use --workers") from None
+
+
 def _run_packed(arguments: Sequence[str], scene: str, packed: bytes) -> tuple[int, str, bytes]:
     """What a Ray task does: unpack, train, pack."""
     with tempfile.TemporaryDirectory() as folder:
@@ -183,7 +196,13 @@ def _run_packed(arguments: Sequence[str], scene: str, packed: bytes) -> tuple[in
         arguments = [*arguments[: at + 1], str(scene_file), *arguments[at + 2 :]]
         command = [sys.executable, "-m", "train.segment", *arguments, "--out", str(out)]
         done = subprocess.run(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            check=False,
+            preexec_fn=_end_with_parent,  # a cancelled task's
         )
         return done.returncode, _last_line(done.stdout), pack(out)
 
@@ -199,20 +218,24 @@ def pack(folder: Path) -> bytes:
 
 
 def unpack(packed: bytes, folder: Path) -> None:
-    """Write what `pack` gave."""
+    """Put what `pack` gave in place of a folder: it is whole or not there."""
     if packed:
-        folder.mkdir(parents=True, exist_ok=True)
+        part = folder.with_name(f".part-{folder.name}")
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-            archive.extractall(folder, filter="data")
+            archive.extractall(part, filter="data")
+        shutil.rmtree(folder, ignore_errors=True)
+        part.rename(folder)
 
 
 Workers = LocalWorkers | RayWorkers
 
 
 @contextlib.contextmanager
-def open_workers(count: int, ray: str | None) -> Iterator[Workers]:
-    """Local or Ray workers, stopped at the end."""
-    workers: Workers = RayWorkers(ray) if ray else LocalWorkers(count)
+def open_workers(count: int, *, ray: bool) -> Iterator[Workers]:
+    """Local workers, or those of the Ray cluster connected to; stopped at the end."""
+    workers: Workers = RayWorkers() if ray else LocalWorkers(count)
     try:
         yield workers
     finally:
