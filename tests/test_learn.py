@@ -5,11 +5,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from mjcollect.bounds import detour_bound
 from mjcollect.course import Course
 from mjcollect.scene import Scene
 from train.ddpg import Learner, make_buffer
-from train.learn import Evaluation, LearnConfig, Trainer, stream
+from train.learn import Evaluation, Evaluator, LearnConfig, Trainer, stream
 from train.runs import RunFolder
 
 SMALL = LearnConfig(
@@ -164,9 +163,11 @@ def test_bad_settings_name_the_field(field, value):
 
 @pytest.mark.slow
 def test_learns_to_fly_round_the_gate(course):
-    """A short budget learns the small gate from everywhere, within 1.15 of the detour's time."""
-    trainer = trained(course, LearnConfig(updates=4000))
-    scene = course.scene
-    detour = detour_bound(scene, *course.nodes, course.guidance[0].length)
+    """A short budget arrives from everywhere, sooner than the law with no learning."""
+    config = LearnConfig(updates=4000)
+    evaluator = Evaluator(course, config, seed=0)
+    law = evaluator(lambda _: evaluator.sims.episodes.guidance_action())
+    evaluator.close()
+    trainer = trained(course, config)
     assert trainer.best.success_rate == 1.0
-    assert trainer.best.point_time <= 1.15 * detour
+    assert trainer.best.mean_time < law.mean_time
