@@ -221,6 +221,14 @@ def test_fly_refuses_another_scene_and_names_the_difference(finished, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(("option", "value"), [("--order", "1,0"), ("--seed", "1")])
+def test_fly_refuses_another_order_or_seed_than_the_run(finished, tmp_path, capsys, option, value):
+    out = str(tmp_path / "out")
+    assert fly(["--run", str(finished[0]), option, value, "--out", out]) == 2
+    assert f"{option}: {value}: the run's is" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_scene_difference_finds_each_field():
     scene = Scene.find("scenario_1")
     assert scene_difference(scene, Scene.find("scenario_1")) is None

@@ -37,12 +37,12 @@ class Args:
     """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
     planner: Literal["policy", "guidance"] = "policy"
     """policy: the run's trained policies. guidance: the law with no learning."""
-    order: str = "lkh"
-    """Visiting order for --scene: lkh, exact, random, given, or a list such as 2,0,1."""
+    order: str | None = None
+    """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
     """Folder for the results; default: runs/fly/<scene name>-<planner>-seed<N>."""
-    seed: int = 0
-    """Seed of the random order."""
+    seed: int | None = None
+    """Seed of the random order for --scene; default 0."""
     overwrite: bool = False
     """Start anew in a folder that is not empty."""
     video: bool = True
@@ -60,7 +60,7 @@ def fly_mission(args: Args) -> int:
         raise RunError(
             "give --run DIR of a finished mission, or --scene FILE with --planner guidance"
         )
-    if args.seed < 0:
+    if args.seed is not None and args.seed < 0:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.run is None and args.planner == "policy":
         raise RunError(
@@ -74,9 +74,9 @@ def fly_mission(args: Args) -> int:
         taught = args.planner == "policy"  # the law owes nothing to the training
         trained = [segment.read_json("segment.json") if taught else None for segment in segments]
     else:
-        scene, seed = Scene.find(args.scene or ""), args.seed
-        order = plan_order(scene, args.order, seed=seed)
-        method = order_label(args.order)
+        scene, seed = Scene.find(args.scene or ""), args.seed or 0
+        order = plan_order(scene, args.order or "lkh", seed=seed)
+        method = order_label(args.order or "lkh")
         trained = [None] * (len(order) + 1)
     folder = RunFolder(args.out or default_folder("fly", scene.slug, args.planner, f"seed{seed}"))
     config = {
@@ -123,7 +123,15 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
                 f"{name}: differs from {args.run / 'scene.json'}, for which the run was trained: "
                 f"{difference}; train again for another scene"
             )
-    return scene, tuple(result["order"]), result["order_method"], result["seed"]
+    order, seed = tuple(result["order"]), result["seed"]
+    if args.seed not in (None, seed):
+        raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
+    if args.order is not None and plan_order(scene, args.order, seed=seed) != order:
+        raise RunError(
+            f"--order: {args.order}: the run's is {list(order)} ({result['order_method']}); leave "
+            "it out with --run"
+        )
+    return scene, order, result["order_method"], seed
 
 
 def scene_difference(one: Scene, two: Scene) -> str | None:

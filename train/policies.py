@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +34,10 @@ class TrainedPolicy:
 
     def save(self, path: Path) -> None:
         """Write policy.pt: plain tensors and names, loaded without unpickling objects."""
-        torch.save({"actor": self.actor.state_dict(), "observation": self.observation}, path)
+        # Through memory: on a full disk torch.save itself raises no OSError.
+        buffer = io.BytesIO()
+        torch.save({"actor": self.actor.state_dict(), "observation": self.observation}, buffer)
+        path.write_bytes(buffer.getvalue())
 
     @classmethod
     def load(cls, path: Path) -> TrainedPolicy:
