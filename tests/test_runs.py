@@ -155,3 +155,9 @@ def test_first_ctrl_c_asks_second_one_ends():
         assert stopped()
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_resume_with_another_scene_is_refused(folder, scene):
+    folder.check_scene(scene, "scenario_1")
+    with pytest.raises(RunError, match="differs from other"):
+        folder.check_scene(Scene.find("scenario_2"), "other")

@@ -116,9 +116,8 @@ def train_mission(args: Args) -> int:
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("mission.json") is not None:
         return _finish(folder, args.video)
-    saved = folder.path / "scene.json"
-    if args.resume and saved.is_file() and Scene.load(saved) != scene:
-        raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
+    if args.resume:
+        folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
     say("computing the guidance of every segment")
     course = Course.mission(scene, order)

@@ -113,6 +113,19 @@ class RunFolder:
                     f"{self.path / 'config.json'}; give the same value, or another --out"
                 )
 
+    def check_scene(self, scene: Scene, name: str) -> None:
+        """Refuse to resume with another scene than the folder's.
+
+        Args:
+            name: how the user gave the scene.
+
+        Raises:
+            RunError: they differ.
+        """
+        saved = self.path / "scene.json"
+        if saved.is_file() and Scene.load(saved) != scene:
+            raise RunError(f"--resume: {saved} differs from {name}; give the run's own scene")
+
     def create(self, config: dict[str, Any], scene: Scene, *, overwrite: bool) -> None:
         """Make the folder with config.json, command.txt and scene.json.
 

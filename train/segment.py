@@ -104,9 +104,8 @@ def train_segment(args: Args) -> int:
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("segment.json") is not None:
         return _report(folder, args.video)
-    saved = folder.path / "scene.json"
-    if args.resume and saved.is_file() and Scene.load(saved) != scene:
-        raise RunError(f"--resume: {saved} differs from {args.scene}; give the run's own scene")
+    if args.resume:
+        folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
     course = Course.segment(scene, order, index)
     folder.create(config, scene, overwrite=args.overwrite)
