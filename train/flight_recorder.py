@@ -43,15 +43,20 @@ def fly(course: Course, policies: Sequence[Policy], observation: str = "guided")
     def pilot(flat: np.ndarray, task: FlightTask) -> np.ndarray:
         return policies[task.leg](flat[None])[0]
 
-    return _record(course, pilot, observation)
+    return record(course, pilot, observation)
 
 
 def fly_law(course: Course) -> Flight:
     """Fly `course` by the guidance law."""
-    return _record(course, lambda _, task: task.episodes.guidance_action()[0], "guided")
+    return record(course, lambda _, task: task.episodes.guidance_action()[0], "guided")
 
 
-def _record(course: Course, pilot: Pilot, observation: str) -> Flight:
+def record(course: Course, pilot: Pilot, observation: str = "guided") -> Flight:
+    """Fly `course` from rest exactly at its start, each slot's action (3,) by `pilot`.
+
+    Args:
+        pilot: flat observation (D,) float32 and task -> action (3,).
+    """
     environment = make_environment(course, observation=observation)
     task: FlightTask = environment.task
     physics: Physics = environment.physics

@@ -1,7 +1,7 @@
 """Fly a finished mission again, or a scene by a planner that needs no training.
 
 python -m train.fly --run DIR
-python -m train.fly --scene FILE --planner guidance
+python -m train.fly --scene FILE --planner mpc
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mjcollect.course import Course
+from mjcollect.planners.mpc import Mpc
 from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
-from train.flight_recorder import Flight, fly, fly_law
+from train.flight_recorder import Flight, fly, fly_law, record
 from train.mission_report import mission_result, outcome, report, write_flight
 from train.policies import TrainedPolicy
 from train.runs import (
@@ -35,8 +36,9 @@ class Args:
     """Folder of a finished train.mission run, whose policies fly."""
     scene: str | None = None
     """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
-    planner: Literal["policy", "guidance"] = "policy"
-    """policy: the run's trained policies. guidance: the law with no learning."""
+    planner: Literal["policy", "mpc", "guidance"] = "policy"
+    """policy: the run's trained policies. mpc: model predictive control. guidance: the law with no
+    learning."""
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
@@ -58,20 +60,20 @@ def fly_mission(args: Args) -> int:
     """Fly, judge, draw. Raises only before anything is written."""
     if args.run is None and args.scene is None:
         raise RunError(
-            "give --run DIR of a finished mission, or --scene FILE with --planner guidance"
+            "give --run DIR of a finished mission, or --scene FILE with --planner mpc or guidance"
         )
     if args.seed is not None and args.seed < 0:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.run is None and args.planner == "policy":
         raise RunError(
             "--planner: policy: needs --run DIR with trained policies; train some with python -m "
-            "train.mission, or give --planner guidance"
+            "train.mission, or give --planner mpc or guidance"
         )
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
         segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
-        taught = args.planner == "policy"  # the law owes nothing to the training
+        taught = args.planner == "policy"  # the others owe nothing to the training
         trained = [segment.read_json("segment.json") if taught else None for segment in segments]
     else:
         scene, seed = Scene.find(args.scene or ""), args.seed or 0
@@ -89,14 +91,21 @@ def fly_mission(args: Args) -> int:
     }
     folder.check(config, resume=False, overwrite=args.overwrite)
     course = Course.mission(scene, order)
+    notes: list[str] = []
     if args.planner == "policy":
         policies = [_load(segment.path / "policy.pt") for segment in segments]
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly(course, policies, policies[0].observation)
+    elif args.planner == "mpc":
+        folder.create(config, scene, overwrite=args.overwrite)
+        planner = Mpc(course)
+        flight = record(course, lambda _, task: planner.action(task.episodes))
+        notes.append(planner.summary())
+        say(notes[0])
     else:
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course)
-    return _finish(folder, course, order, method, flight, trained, seed, args)
+    return _finish(folder, course, order, method, flight, trained, seed, args, notes)
 
 
 def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
@@ -165,6 +174,7 @@ def _finish(
     trained: Sequence[dict[str, Any] | None],
     seed: int,
     args: Args,
+    notes: Sequence[str],
 ) -> int:
     """Judge, write everything, print the result; 0 if it is a success."""
     result = mission_result(course, order, method, flight, trained, seed)
@@ -179,7 +189,7 @@ def _finish(
         if reason:
             say(f"no video: {reason}")
     filmed = (folder.path / "mission.mp4").is_file()
-    folder.write_text("report.md", report(course.scene, result, filmed))
+    folder.write_text("report.md", report(course.scene, result, filmed, notes))
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

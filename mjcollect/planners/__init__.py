@@ -1,0 +1,1 @@
+"""Planners that need no training: what the learned policy is compared with."""
