@@ -38,7 +38,7 @@ def make_actor(observation_size: int, width: int) -> TensorDictSequential:
         norm_class=nn.LayerNorm,
         norm_kwargs=[{"normalized_shape": width}] * 2,
     )
-    _shrink_last(net)
+    shrink_last(net)
     return TensorDictSequential(
         TensorDictModule(net, in_keys=["observation"], out_keys=["param"]),
         TanhModule(in_keys=["param"], out_keys=["action"]),
@@ -55,11 +55,11 @@ def make_critic(observation_size: int, width: int) -> ValueOperator:
         norm_class=nn.LayerNorm,
         norm_kwargs=[{"normalized_shape": width}] * 2,
     )
-    _shrink_last(net)
+    shrink_last(net)
     return ValueOperator(net, in_keys=["observation", "action"])
 
 
-def _shrink_last(net: nn.Sequential) -> None:
+def shrink_last(net: nn.Sequential) -> None:
     """Small last layer, so that actions and values start near zero (Lillicrap et al., sec. 7)."""
     last = [layer for layer in net if isinstance(layer, nn.Linear)][-1]
     with torch.no_grad():

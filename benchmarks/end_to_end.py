@@ -1,0 +1,268 @@
+"""Simulate and learn, ours against Stable-Baselines3's DDPG, until every start arrives.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.end_to_end --out docs/results/end_to_end.json
+
+One segment, the first blocked one of the scene; same observation, reward, networks, batch, Adam,
+learning rates, soft update and demonstrations of the guidance law. SB3 learns in its usual loop:
+one environment (the single dm-control one behind Gymnasium), one update per transition. Ours has
+its usual simulations side by side. They run in turn from evaluation to evaluation, one thread
+each, so that a busy machine slows both. Each stops at the first evaluation in which all starts
+arrive (same starts, about every 500 updates, counted in the times). If SB3 never gets there
+within its budget of updates, its best evaluation is reported and the ratio is a lower bound.
+Needs `pip install .[bench]`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+import tyro
+from stable_baselines3.common.noise import NormalActionNoise
+
+from benchmarks.sb3 import make_sb3, peer_versions
+from mjcollect.course import Course
+from mjcollect.inspect_scene import first_blocked
+from mjcollect.scene import Scene
+from mjcollect.task import make_environment
+from mjcollect.tour import plan_order
+from train.learn import Evaluator, LearnConfig, Trainer
+
+TARGET = 3.0
+
+
+@dataclass(frozen=True)
+class Args:
+    """Time both until they arrive from every start."""
+
+    scene: str = "scenario_1"
+    """Scene file or bundled scene."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Seeds, one run of each learner per seed."""
+    sb3_updates: int = 10_000
+    """SB3's budget: updates, and transitions beyond the demonstrations."""
+    sb3_demonstrations: bool = True
+    """Start SB3's buffer, too, with the guidance law's transitions."""
+    sb3_noise: float = 0.1
+    """Standard deviation of SB3's Gaussian action noise."""
+    threads: int = 1
+    """MuJoCo's threads in our simulations and in both sides' evaluations."""
+    out: Path | None = None
+    """JSON file for the results."""
+
+
+class FlightGym(gymnasium.Env):
+    """The single dm-control environment behind Gymnasium, observation flat."""
+
+    def __init__(self, course: Course, config: LearnConfig, seed: int) -> None:
+        self.environment = make_environment(
+            course,
+            observation=config.observation,
+            reward=config.reward,
+            start="spread",
+            random=seed,
+        )
+        size = len(self._flat(self.environment.reset().observation))
+        high = np.full(size, np.inf, np.float32)
+        self.observation_space = gymnasium.spaces.Box(-high, high)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
+
+    @staticmethod
+    def _flat(parts: dict[str, np.ndarray]) -> np.ndarray:
+        return np.concatenate(list(parts.values())).astype(np.float32)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
+        return self._flat(self.environment.reset().observation), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
+        now = self.environment.step(action)
+        ended = now.discount == 0.0
+        truncated = now.last() and not ended
+        return self._flat(now.observation), float(now.reward), ended, truncated, {}
+
+    def guidance_action(self) -> np.ndarray:
+        """Action (3,) of the guidance law."""
+        return self.environment.task.episodes.guidance_action()[0]
+
+
+def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[dict[str, float]]:
+    """Our training, yielding each evaluation."""
+    trainer = Trainer(course, config, seed)
+    seen = 0
+    try:
+        for updates in trainer.run():
+            if len(trainer.rows) > seen:
+                seen, last = len(trainer.rows), trainer.rows[-1]
+                yield {
+                    "updates": updates,
+                    "transitions": trainer.env_steps,
+                    "success_rate": last["eval_success_rate"],
+                    "mean_time": last["eval_mean_time"],
+                }
+    finally:
+        trainer.close()
+
+
+def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[dict[str, float]]:
+    """SB3's training, in its own loop from evaluation to evaluation, yielding each."""
+    env, evaluator = FlightGym(course, config, seed), Evaluator(course, config, seed)
+    demonstrations = config.demonstrations if args.sb3_demonstrations else 0
+    share = 0.0  # of the way down to the final learning rates
+    model = make_sb3(
+        env,
+        config.width,
+        learning_rate=lambda _: config.alpha_critic * (1.0 + (config.final_rate - 1.0) * share),
+        gamma=config.gamma,
+        tau=config.alpha_target,
+        batch_size=config.batch,
+        buffer_size=config.buffer,
+        learning_starts=0 if demonstrations else config.batch,
+        train_freq=1,
+        gradient_steps=1,
+        action_noise=NormalActionNoise(np.zeros(3), np.full(3, args.sb3_noise)),
+        seed=seed,
+    )
+
+    def act(observation: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            return model.actor(torch.from_numpy(observation)).numpy()
+
+    demonstrate(env, model.replay_buffer, config, seed, demonstrations)
+    try:
+        while model.num_timesteps < args.sb3_updates:
+            share = min(model.num_timesteps / config.updates, 1.0)
+            model.learn(config.eval_every, reset_num_timesteps=False)
+            found = evaluator(act)
+            yield {
+                "updates": model.num_timesteps,
+                "transitions": demonstrations + model.num_timesteps,
+                "success_rate": found.success_rate,
+                "mean_time": found.mean_time,
+            }
+    finally:
+        evaluator.close()
+
+
+def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int, count: int) -> None:
+    """Fly `count` slots by the guidance law with the noises of our training, into SB3's buffer."""
+    rng = np.random.default_rng(seed)
+    scales = np.linspace(config.noise_min, config.noise_max, config.envs)
+    observation, _ = env.reset()
+    scale = rng.choice(scales)
+    for _ in range(count):
+        noise = rng.normal(0.0, scale, 3)
+        action = np.clip(env.guidance_action() + noise, -1.0, 1.0).astype(np.float32)
+        after, reward, ended, truncated, _ = env.step(action)
+        info = {"TimeLimit.truncated": truncated}
+        done = np.array([ended or truncated])
+        buffer.add(observation[None], after[None], action[None], np.array([reward]), done, [info])
+        observation = after
+        if done[0]:
+            observation, _ = env.reset()
+            scale = rng.choice(scales)
+
+
+def race(sides: dict[str, Iterator[dict[str, float]]]) -> dict[str, dict[str, Any]]:
+    """Run the sides in turn from evaluation to evaluation, each until all its starts arrive."""
+    logs: dict[str, list[dict[str, float]]] = {name: [] for name in sides}
+    active = dict(sides)
+    while active:
+        for name, side in list(active.items()):
+            log = logs[name]
+            wall, cpu = time.perf_counter(), time.process_time()
+            found = next(side, None)
+            if found is None:
+                del active[name]
+                continue
+            last = log[-1] if log else {"seconds": 0.0, "cpu_seconds": 0.0}
+            found["seconds"] = last["seconds"] + time.perf_counter() - wall
+            found["cpu_seconds"] = last["cpu_seconds"] + time.process_time() - cpu
+            log.append(found)
+            if found["success_rate"] == 1.0:
+                del active[name]
+                side.close()
+    return {name: summary(log) for name, log in logs.items()}
+
+
+def summary(log: list[dict[str, float]]) -> dict[str, Any]:
+    """What a run reached, and its rates."""
+    last, best = log[-1], max(log, key=lambda found: found["success_rate"])
+    return {
+        "all_arrived": best["success_rate"] == 1.0,
+        "best_success_rate": best["success_rate"],
+        **{name: last[name] for name in ("seconds", "cpu_seconds", "updates", "transitions")},
+        "updates_per_second": last["updates"] / last["seconds"],
+        "transitions_per_second": last["transitions"] / last["seconds"],
+        "evaluations": log,
+    }
+
+
+def main(args: Args) -> None:
+    """Run, print, save."""
+    torch.set_num_threads(1)
+    scene = Scene.find(args.scene)
+    order = plan_order(scene, "lkh")
+    course = Course.segment(scene, order, first_blocked(scene, order))
+    config = LearnConfig(threads=args.threads)
+    results = []
+    for seed in args.seeds:
+        results.append(
+            race({"ours": ours(course, config, seed), "SB3": sb3(course, config, seed, args)})
+        )
+        for name, run in results[-1].items():
+            report(f"{name}, seed {seed}", run)
+    fair = all(each["ours"]["all_arrived"] for each in results)
+    ratios = {
+        clock: statistics.median(each["SB3"][clock] / each["ours"][clock] for each in results)
+        for clock in ("seconds", "cpu_seconds", "updates")
+    }
+    bound = any(not each["SB3"]["all_arrived"] for each in results)
+    met = fair and ratios["seconds"] >= TARGET
+    least = "at least " if bound else ""
+    print(
+        f"\ntransitions per update: ours {config.envs * config.u1 / config.u2:g}, SB3 1\n"
+        f"to all starts, SB3 over ours, medians: time {least}{ratios['seconds']:.2f}, "
+        f"CPU time {least}{ratios['cpu_seconds']:.2f}, updates {least}{ratios['updates']:.2f}\n"
+        f"target {TARGET:g} in time: {'met' if met else 'MISSED'}"
+    )
+    if args.out:
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        document = {
+            "arguments": dataclasses.asdict(args) | {"out": None},
+            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
+            "versions": peer_versions(),
+            "config": dataclasses.asdict(config),
+            "target": TARGET,
+            "met": met,
+            "ratios": ratios,
+            "ratio_is_lower_bound": bound,
+            "results": dict(zip(args.seeds, results, strict=True)),
+        }
+        args.out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+def report(name: str, run: dict[str, Any]) -> None:
+    """Print one run."""
+    print(
+        f"{name}: {'all starts' if run['all_arrived'] else 'NOT all starts'} arrived "
+        f"(best evaluation {run['best_success_rate']:.0%}) after {run['seconds']:.1f} s, "
+        f"{run['updates']:.0f} updates, {run['transitions']} transitions: "
+        f"{run['updates_per_second']:.0f} updates/s, "
+        f"{run['transitions_per_second']:.0f} transitions/s",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
