@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
 from train.ddpg import make_actor
+from train.plain_actor import PlainActor
 
 
 @dataclass(frozen=True)
 class TrainedPolicy:
     """An actor that acts without noise.
+
+    A single decision is made in plain NumPy, with the weights as they are at the first one: where
+    the actor goes on learning, make a new policy.
 
     Attributes:
         actor: TorchRL module, observation -> action. observation: name of the observation.
@@ -27,10 +32,17 @@ class TrainedPolicy:
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions (N, 3) for observations (N, D) float32."""
+        if len(observation) == 1:
+            return self.plain(observation[0])[None]
         device = next(self.actor.parameters()).device
         step = TensorDict({"observation": torch.from_numpy(observation)}, len(observation))
         with torch.no_grad():
             return np.asarray(self.actor(step.to(device))["action"].cpu().numpy())
+
+    @cached_property
+    def plain(self) -> PlainActor:
+        """The actor for single observations."""
+        return PlainActor(self.actor)
 
     def save(self, path: Path) -> None:
         """Write policy.pt: plain tensors and names, loaded without unpickling objects."""

@@ -1,0 +1,76 @@
+"""Single decisions in plain NumPy equal the torch actor's."""
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+
+from train.ddpg import make_actor
+from train.plain_actor import PlainActor
+from train.policies import TrainedPolicy
+
+
+@pytest.fixture
+def actor():
+    """A network whose every parameter matters, as after learning."""
+    torch.manual_seed(0)
+    actor = make_actor(45, 128)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.add_(0.3 * torch.randn_like(parameter))
+    return actor
+
+
+def by_torch(actor, observations):
+    with torch.no_grad():
+        batch = TensorDict({"observation": torch.from_numpy(observations)}, len(observations))
+        return actor(batch)["action"].numpy()
+
+
+def test_single_decisions_equal_the_torch_actor(actor):
+    policy = TrainedPolicy(actor, "guided")
+    observations = np.random.default_rng(0).normal(size=(200, 45)).astype(np.float32)
+    observations *= np.logspace(-2, 1, 200, dtype=np.float32)[:, None]
+    single = np.concatenate([policy(observation[None]) for observation in observations])
+    expected = by_torch(actor, observations)
+    assert single.shape == (200, 3)
+    assert single.dtype == np.float32
+    assert np.abs(expected).std() > 0.1
+    assert np.allclose(single, expected, rtol=0, atol=1e-5)
+    assert np.array_equal(policy(observations), expected)
+
+
+def test_inputs_stay_as_they_are(actor):
+    observation = np.random.default_rng(0).normal(size=(1, 45)).astype(np.float32)
+    before, policy = observation.copy(), TrainedPolicy(actor, "guided")
+    first = policy(observation)
+    assert np.array_equal(observation, before)
+    assert np.array_equal(policy(observation), first)
+
+
+def test_a_loaded_policy_decides_the_same(actor, tmp_path):
+    policy = TrainedPolicy(actor, "guided")
+    policy.save(tmp_path / "policy.pt")
+    observation = np.random.default_rng(0).normal(size=(1, 45)).astype(np.float32)
+    assert np.array_equal(
+        TrainedPolicy.load(tmp_path / "policy.pt")(observation), policy(observation)
+    )
+
+
+def test_a_new_policy_sees_what_was_learned_since(actor):
+    observation = np.ones((1, 45), dtype=np.float32)
+    before = TrainedPolicy(actor, "guided")(observation)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.mul_(0.5)
+    after = TrainedPolicy(actor, "guided")(observation)
+    assert not np.allclose(after, before, atol=1e-3)
+    assert np.allclose(after, by_torch(actor, observation), atol=1e-5)
+
+
+def test_other_networks_are_refused(actor):
+    with pytest.raises(ValueError, match="Softplus"):
+        PlainActor(nn.Sequential(nn.Linear(4, 3), nn.Softplus()))
+    with pytest.raises(ValueError, match="tanh"):
+        PlainActor(nn.Sequential(nn.Linear(4, 3), nn.ReLU()))
