@@ -28,6 +28,7 @@ from mjcollect.scene import Scene
 
 Indices = NDArray[np.intp]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+FLAGS = ("done", "terminated", "truncated", "success", "crashed")
 
 
 class Simulations:
@@ -66,6 +67,7 @@ class Simulations:
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._n = self.episodes.world.substeps
         self.state = np.zeros((count, mujoco.mj_stateSize(each[0], STATE)))
+        self._control = np.empty((count, self._n, 3))
         self._states = np.empty((count, self._n, self.state.shape[1]))
         self._sensors = np.empty((count, self._n, each[0].nsensordata))
 
@@ -93,12 +95,12 @@ class Simulations:
     def step(self, action: Array) -> Outcome:
         """Fly one slot with raw actions (N, 3)."""
         acceleration = self.episodes.begin_slot(action)
-        control = np.repeat(acceleration[:, None], self._n, axis=1)
+        self._control[:] = acceleration[:, None]
         self._rollout.rollout(
             self._models,
             self._data,
             self.state,
-            control,
+            self._control,
             skip_checks=True,
             nstep=self._n,
             state=self._states,
@@ -120,9 +122,12 @@ class Simulations:
         """Velocities (N, n, 3) of the last slot's physics steps."""
         return self._states[:, :, 4:7]
 
-    def observe(self) -> Array:
-        """Flat observation (N, D), the parts of `Episodes.observe` in their order."""
-        return np.concatenate(list(self.episodes.observe().values()), axis=-1)
+    def observe(self, chosen: Indices | None = None) -> Array:
+        """Flat observation (N, D), the parts of `Episodes.observe` in their order.
+
+        With `chosen` (n,) only those simulations' rows, (n, D).
+        """
+        return np.concatenate(list(self.episodes.observe(chosen).values()), axis=-1)
 
 
 def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
@@ -167,9 +172,12 @@ class BatchedFlightEnv(EnvBase):
     def _flag(self, values: Bools) -> torch.Tensor:
         return torch.from_numpy(values[:, None].copy()).to(self.device)
 
+    def _observe(self, chosen: Indices | None = None) -> torch.Tensor:
+        seen = self.simulations.observe(chosen).astype(np.float32)
+        return torch.from_numpy(seen).to(self.device)
+
     def _dict(self, **more: torch.Tensor) -> TensorDict:
-        observation = torch.from_numpy(self.simulations.observe().astype(np.float32))
-        parts = {"observation": observation.to(self.device), **more}
+        parts = {"observation": self._observe(), **more}
         return TensorDict(parts, batch_size=self.batch_size, device=self.device)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
@@ -178,8 +186,21 @@ class BatchedFlightEnv(EnvBase):
             which = np.flatnonzero(tensordict["_reset"].cpu().numpy().reshape(-1))
         self.simulations.reset(which)
         no = np.zeros(self.simulations.count, dtype=bool)
-        flags = ("done", "terminated", "truncated", "success", "crashed")
-        return self._dict(**{flag: self._flag(no) for flag in flags})
+        return self._dict(**{flag: self._flag(no) for flag in FLAGS})
+
+    def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Begin anew where an episode has ended.
+
+        Does what `EnvBase` does through `_reset`, without computing the rows that it then drops.
+        """
+        chosen = np.flatnonzero(tensordict["done"].cpu().numpy())
+        if len(chosen):
+            self.simulations.reset(chosen)
+            rows = torch.from_numpy(chosen).to(self.device)
+            for name, values in list(tensordict.items()):
+                tensordict[name] = values.index_fill(0, rows, 0)
+            tensordict["observation"].index_copy_(0, rows, self._observe(chosen))
+        return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         action = tensordict["action"].cpu().numpy().astype(np.float64)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from mjcollect import kernels
 from mjcollect.bounds import detour_bound
-from mjcollect.geometry import Array, point_box_distance
+from mjcollect.compiled import plain
+from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
@@ -84,7 +87,7 @@ class Course:
                 node's tolerance, where the segment before can have stopped. `spread`, for
                 training: most in an ellipsoid around the way, moving at up to 15 m/s.
         """
-        home = self.scene.point(self.nodes[0])
+        home, reach = self.scene.point(self.nodes[0]), self.scene.tolerance(self.nodes[0])
         if kind == "point":
             return np.tile(home, (count, 1)), np.zeros((count, 3))
         q, v = np.empty((count, 3)), np.zeros((count, 3))
@@ -97,39 +100,37 @@ class Course:
             unit = _in_unit_ball(rng, len(todo))
             far = spread[todo, None]
             speed = _in_unit_ball(rng, len(todo)) * min(SPREAD_SPEED, self.scene.v_max)
-            q[todo] = np.where(far, self._around(unit), home + unit * self._home_radius())
+            q[todo] = np.where(far, self._around(unit), home + unit * reach)
             v[todo] = np.where(far, speed, 0.0)
             wanting[todo] = ~self._clear(q[todo], v[todo])
         # A start node wedged between boxes: the node itself is known to be free.
         q[wanting], v[wanting] = home, 0.0
         return q, v
 
-    def _home_radius(self) -> float:
-        return self.scene.tolerance(self.nodes[0])
-
-    def _around(self, unit: Array) -> Array:
-        """Unit ball (n, 3) mapped onto the ellipsoid with the first leg's ends as foci."""
+    @cached_property
+    def _ellipsoid(self) -> tuple[Array, Array, float, float]:
+        """Middle (3,), direction (3,) and half widths along and across it, in metres."""
         start, end = self.scene.point(self.nodes[0]), self.guidance[0].aim
         axis = end - start
         focal = float(np.linalg.norm(axis))
         total = max(self.guidance[0].length, focal) + SPREAD_SLACK
-        major, minor = total / 2, np.sqrt(total**2 - focal**2) / 2
         along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
-        share = unit @ along
-        across = unit - share[:, None] * along
-        return (start + end) / 2 + share[:, None] * along * major + across * minor
+        return (start + end) / 2, along, total / 2, float(np.sqrt(total**2 - focal**2)) / 2
+
+    def _around(self, unit: Array) -> Array:
+        """Unit ball (n, 3) mapped onto the ellipsoid with the first leg's ends as foci."""
+        middle, along, major, minor = self._ellipsoid
+        share = (unit @ along)[:, None]
+        across = unit - share * along
+        return middle + share * along * major + across * minor
 
     def _clear(self, q: Array, v: Array) -> np.ndarray:
         """In bounds and clear of boxes with room to brake."""
-        low, high = self.scene.bounds
-        room = np.sum(v**2, axis=1) / (2 * self.scene.a_max)
-        inside = np.all((q >= low) & (q <= high), axis=1)
-        ahead = q + v * (np.linalg.norm(v, axis=1) / (2 * self.scene.a_max))[:, None]
-        inside &= np.all((ahead >= low) & (ahead <= high), axis=1)
-        if len(self.scene.obstacles) == 0:
-            return inside
-        gap = point_box_distance(q[:, None], self.scene.obstacles).min(axis=1)
-        return inside & (gap >= self.scene.uav_radius + room)
+        scene, clear = self.scene, np.empty(len(q), dtype=bool)
+        kernels.room_to_brake(
+            plain(scene.bounds), plain(scene.obstacles), scene.a_max, scene.uav_radius, q, v, clear
+        )
+        return clear
 
 
 def _in_unit_ball(rng: np.random.Generator, count: int) -> Array:

@@ -23,7 +23,8 @@ class DistanceField:
     """Distances in metres to `aim` on a grid over the bounds, longer where it is crowded.
 
     Attributes:
-        h: (3,) spacing in metres.
+        low, h: (3,) position of the first node, and spacing, in metres.
+        filled: (X, Y, Z) distances, also continued into blocked cells; NaN where undefined.
     """
 
     def __init__(
@@ -44,17 +45,17 @@ class DistanceField:
         """
         low, high = scene.bounds
         count = np.maximum(np.ceil((high - low) / np.max(high - low) * cells), 4).astype(int)
-        self._scene, self._low, self.h = scene, low, (high - low) / count
+        self._scene, self.low, self.h = scene, low, (high - low) / count
         first, last = np.zeros(3, dtype=int), count
         if within is not None:  # only the nodes around the ellipsoid
             reach = _half_widths(*within, aim)
             middle = (within[0] + aim) / 2
             first = np.clip(np.floor((middle - reach - low) / self.h).astype(int), 0, count - 1)
             last = np.clip(np.ceil((middle + reach - low) / self.h).astype(int), first + 1, count)
-            self._low = low + first * self.h
+            self.low = low + first * self.h
         nodes = last - first + 1
         self._shape = int(nodes[0]), int(nodes[1]), int(nodes[2])
-        bounds = np.stack([self._low, self._low + (last - first) * self.h])
+        bounds = np.stack([self.low, self.low + (last - first) * self.h])
         blocked = blocked_grid(bounds, scene.obstacles, scene.uav_radius, self._shape)
         straight = self._straight(aim)
         outside = None
@@ -78,21 +79,21 @@ class DistanceField:
             distance[inside] = straight[inside]
             self._distance = distance.astype(np.float32)
         self._free = np.isfinite(self._distance)
-        self._filled = self._fill(outside).reshape(-1)
+        self.filled = self._fill(outside)
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
         """How near boxes or bounds are: 1 at them, 0 from ROOM metres on."""
         gap = ndimage.distance_transform_edt(~blocked, sampling=self.h)
         low, high = self._scene.bounds
         for axis in range(3):
-            at = self._low[axis] + self.h[axis] * np.arange(self._shape[axis])
+            at = self.low[axis] + self.h[axis] * np.arange(self._shape[axis])
             wall = np.minimum(at - low[axis], high[axis] - at)
             gap = np.minimum(gap, np.expand_dims(wall, [k for k in range(3) if k != axis]))
         return np.asarray(np.clip(1.0 - gap / ROOM, 0.0, 1.0))
 
     def _straight(self, point: Array) -> Array:
         square = [
-            (self._low[k] + self.h[k] * np.arange(self._shape[k]) - point[k]) ** 2 for k in range(3)
+            (self.low[k] + self.h[k] * np.arange(self._shape[k]) - point[k]) ** 2 for k in range(3)
         ]
         return np.asarray(
             np.sqrt(square[0][:, None, None] + square[1][None, :, None] + square[2][None, None, :])
@@ -112,42 +113,11 @@ class DistanceField:
 
     def points(self, nodes: np.ndarray) -> Array:
         """Positions (n, 3) of grid nodes (n, 3)."""
-        return np.asarray(self._low + nodes * self.h)
-
-    def forget_nodes(self) -> None:
-        """Free what only `entry` and `descend` need; a mission holds a field per segment."""
-        del self._distance, self._free
-
-    def query(self, q: Array) -> tuple[Array, Array]:
-        """Interpolated distance (N,) and minus its gradient (N, 3) at q; NaN where undefined."""
-        last = np.array(self._shape) - 2
-        where = (q - self._low) / self.h
-        cell = np.clip(where.astype(np.int64), 0, last)
-        part = np.clip(where - cell, 0.0, 1.0)
-        _, ny, nz = self._shape
-        base = (cell[:, 0] * ny + cell[:, 1]) * nz + cell[:, 2]
-        offsets = np.array([(i * ny + j) * nz + k for i, j, k in np.ndindex(2, 2, 2)])
-        corner = self._filled[base[:, None] + offsets].astype(np.float64).reshape(-1, 2, 2, 2)
-        x, y, z = (part[:, k, None, None] for k in range(3))
-        along_x = corner[:, 1] - corner[:, 0]  # (N, 2, 2) over y, z
-        at_x = corner[:, 0] + x * along_x
-        slope_x = along_x[:, 0] + y[:, 0] * (along_x[:, 1] - along_x[:, 0])
-        along_y = at_x[:, 1] - at_x[:, 0]  # (N, 2) over z
-        at_y = at_x[:, 0] + y[:, 0] * along_y
-        slope = np.stack(
-            [
-                slope_x[:, 0] + z[:, 0, 0] * (slope_x[:, 1] - slope_x[:, 0]),
-                along_y[:, 0] + z[:, 0, 0] * (along_y[:, 1] - along_y[:, 0]),
-                at_y[:, 1] - at_y[:, 0],
-            ],
-            axis=-1,
-        )
-        value = at_y[:, 0] + z[:, 0, 0] * (at_y[:, 1] - at_y[:, 0])
-        return value, -slope / self.h
+        return np.asarray(self.low + nodes * self.h)
 
     def entry(self, start: Array) -> tuple[int, ...] | None:
         """The best node near `start` (3,) joined to the aim and in clear straight sight, if any."""
-        index = np.rint((start - self._low) / self.h).astype(int)
+        index = np.rint((start - self.low) / self.h).astype(int)
         near = index + np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), -1)
         near = near.reshape(-1, 3)
         near = near[np.all((near >= 0) & (near < self._shape), axis=1)]

@@ -6,12 +6,13 @@ velocities only, not which simulator moves the body.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjcollect import kernels
 from mjcollect.course import Course
 from mjcollect.flight import Bools, Slot, World, command, judge
 from mjcollect.geometry import FAR, Array
@@ -19,7 +20,7 @@ from mjcollect.guidance_law import guidance_law
 from mjcollect.observation import OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
-LOOK_AHEAD = (30.0, 40.0, 60.0)  # metres between the points of `Approach.ahead`
+LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
 GAMMA = 0.99  # discount per slot, also that of the learner
 
 
@@ -113,6 +114,7 @@ class Episodes:
         self.steps = np.zeros(count, dtype=np.int64)
         self.crashed = np.zeros(count, dtype=bool)
         self._stop = np.zeros(count, dtype=bool)
+        self._all = np.arange(count)
         self._approach = self._look()
 
     def course(self, index: int) -> Course:
@@ -126,7 +128,7 @@ class Episodes:
         self.collected[which] = self._before[which]
         self.steps[which] = 0
         self.crashed[which] = False
-        self._approach = self._look()
+        self._look_anew(self._approach, which)
 
     def load(self, state: dict[str, Array]) -> None:
         """Go on from saved attributes q, v, target, collected, steps and crashed."""
@@ -165,17 +167,21 @@ class Episodes:
         taken = np.flatnonzero(slot.arrived & (node >= 0))
         self.collected[taken, node[taken]] = True
         moving = slot.arrived & ~success
-        self.target = self.target + moving
-        self._approach = self._look() if moving.any() else after
+        self._approach = after
+        if moving.any():
+            self.target = self.target + moving
+            self._look_anew(after, np.flatnonzero(moving))
         terminated = success | ended
         return Outcome(
             reward, slot, terminated, ~terminated & (self.steps >= self.step_limit), success
         )
 
-    def observe(self) -> Parts:
-        """Named parts of the observation, each (N, d)."""
+    def observe(self, which: NDArray[np.intp] | None = None) -> Parts:
+        """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""
         state = State(self.q, self.v, self._approach, self._items, self.collected, self._depot)
-        return self._observation(self.world, state)
+        if which is None:
+            return self._observation(self.world, state)
+        return self._observation(self.world.rows(which), state.rows(which))
 
     def guidance_action(self) -> Array:
         """Actions (N, 3) of the guidance law from here."""
@@ -185,27 +191,49 @@ class Episodes:
         )
 
     def _look(self) -> Approach:
-        distance, direction = self._query(self.q)
-        # Points along the path, so that bends show before they are reached.
-        point, left, towards = self.q, distance, direction
-        ahead: list[Array] = []
-        for stride in LOOK_AHEAD:
-            if ahead:
-                left, towards = self._query(point)
-            point = point + towards * np.minimum(stride, left)[:, None]
-            ahead.append(point - self.q)
-        return Approach(
-            offset=self._goal[self.target] - self.q,
-            distance=distance,
-            direction=direction,
-            closing=np.sum(self.v * direction, axis=-1),
-            returning=self._node[self.target] < 0,
-            ahead=np.stack(ahead, axis=1),
+        approach = Approach(
+            offset=np.empty((self.count, 3)),
+            distance=np.empty(self.count),
+            direction=np.empty((self.count, 3)),
+            closing=np.empty(self.count),
+            returning=np.empty(self.count, dtype=bool),
+            ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
         )
+        self._look_anew(approach, self._all)
+        return approach
+
+    def _look_anew(self, approach: Approach, which: NDArray[np.intp]) -> None:
+        """Write the rows `which` of an approach."""
+        for target, mine in self._by_target(which):
+            kernels.look(
+                self._guidance[target].way,
+                mine,
+                self._goal[target],
+                LOOK_AHEAD,
+                self.q,
+                self.v,
+                approach.offset,
+                approach.distance,
+                approach.direction,
+                approach.closing,
+                approach.ahead,
+            )
+            approach.returning[mine] = self._node[target] < 0
 
     def _query(self, q: Array) -> tuple[Array, Array]:
         distance, direction = np.empty(self.count), np.empty((self.count, 3))
-        for target in np.unique(self.target):
-            mine = self.target == target
-            distance[mine], direction[mine] = self._guidance[target].query(q[mine])
+        for target, mine in self._by_target(self._all):
+            kernels.query(self._guidance[target].way, mine, q, distance, direction)
         return distance, direction
+
+    def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+        """The episodes `which` in groups with the same current target."""
+        if len(self._guidance) == 1:
+            yield 0, which
+            return
+        if len(which) == 1:
+            yield int(self.target[which[0]]), which
+            return
+        targets = self.target[which]
+        for target in np.unique(targets):
+            yield int(target), which[targets == target]

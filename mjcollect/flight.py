@@ -1,18 +1,22 @@
 """The rules of flight, written once and vectorised over a leading batch axis of N simulations.
 
 The single dm-control task (N = 1) and the batched environment call the same functions, so that
-both fly by the same rules bit for bit. Accelerations are commands held for one slot.
+both fly by the same rules bit for bit. Accelerations are commands held for one slot. The rules
+themselves are compiled, see `kernels`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.geometry import EMPTY_BOX, Array, segment_box_distance
+from mjcollect import kernels
+from mjcollect.compiled import plain
+from mjcollect.geometry import EMPTY_BOX, Array
 from mjcollect.scene import Scene
 
 Bools = NDArray[np.bool_]
@@ -20,8 +24,7 @@ Bools = NDArray[np.bool_]
 BOUNDS_TOLERANCE = 1e-6  # metres; the body's centre may lie on the bounds
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     """Scene constants stacked over simulations. The leading axis is N, or 1 where all share one.
 
     Attributes:
@@ -74,6 +77,18 @@ class World:
             substeps=first.substeps,
         )
 
+    def rows(self, which: NDArray[np.intp]) -> World:
+        """The constants of the simulations `which` (n,) only."""
+        if len(self.bounds) == 1:
+            return self
+        return self._replace(
+            bounds=self.bounds[which],
+            boxes=self.boxes[which],
+            v_max=self.v_max[which],
+            a_max=self.a_max[which],
+            radius=self.radius[which],
+        )
+
 
 def project(world: World, v: Array, action: Array) -> Array:
     """Feasible acceleration nearest in spirit to a raw action, eq. (2)-(3).
@@ -87,15 +102,9 @@ def project(world: World, v: Array, action: Array) -> Array:
     Returns:
         (N, 3) accelerations in m/s^2.
     """
-    action = np.nan_to_num(np.asarray(action, dtype=np.float64), posinf=0.0, neginf=0.0)
-    action = np.clip(action, -1e100, 1e100)  # its square must not overflow
-    a = _into_ball(action * world.a_max, world.a_max)
-    return (_into_ball(v + a * world.slot, world.v_max) - v) / world.slot
-
-
-def _into_ball(vector: Array, radius: Array) -> Array:
-    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
-    return vector * np.where(norm > radius, radius / np.maximum(norm, 1e-300), 1.0)
+    a = np.empty(v.shape)
+    kernels.project(world, plain(v), plain(action), a)
+    return a
 
 
 def resting_point(world: World, q: Array, v: Array) -> Array:
@@ -115,17 +124,18 @@ def arrests(world: World, q: Array, v: Array, goal: Array, tolerance: Array) -> 
     Returns:
         (N,) booleans.
     """
-    slow = np.linalg.norm(v, axis=-1) <= world.a_max[..., 0] * world.slot
-    miss = np.linalg.norm(resting_point(world, q, v) - goal, axis=-1)
-    return np.asarray(slow & (miss <= tolerance))
+    return command(world, q, v, np.zeros_like(v), goal, tolerance)[1]
 
 
 def command(
     world: World, q: Array, v: Array, action: Array, goal: Array, tolerance: Array
 ) -> tuple[Array, Bools]:
     """Acceleration (N, 3) for the next slot, and where (N,) it is the stop that collects."""
-    stop = arrests(world, q, v, goal, tolerance)
-    return np.where(stop[:, None], -v / world.slot, project(world, v, action)), stop
+    a, stop = np.empty(v.shape), np.empty(len(v), dtype=bool)
+    kernels.command(
+        world, plain(q), plain(v), plain(action), plain(goal), plain(tolerance), a, stop
+    )
+    return a, stop
 
 
 def contacts(world: World, path: Array, sensed: Bools) -> Bools:
@@ -141,26 +151,20 @@ def contacts(world: World, path: Array, sensed: Bools) -> Bools:
     Returns:
         (N, n) booleans.
     """
-    touch = sensed.copy()
-    radius = world.radius[:, None]  # (N or 1, 1, 1)
-    low = path.min(axis=1)[:, None, :] - radius
-    high = path.max(axis=1)[:, None, :] + radius
-    near = np.all((world.boxes[:, :, 0] <= high) & (world.boxes[:, :, 1] >= low), axis=-1)
-    sims, boxes = np.nonzero(near)
-    if len(sims):
-        shared = len(world.boxes) == 1
-        box = world.boxes[np.zeros_like(sims) if shared else sims, boxes][:, None]
-        distance = segment_box_distance(path[sims, :-1], path[sims, 1:], box)
-        limit = np.broadcast_to(world.radius, (len(path), 1))[sims]
-        np.logical_or.at(touch, sims, distance < limit)
-    return touch
+    return _events(world, path, sensed)[0]
 
 
 def leaves_bounds(world: World, path: Array) -> Bools:
     """Which positions (N, n, 3) lie outside the bounds, inclusive with 1e-6 m. Shape (N, n)."""
-    low = world.bounds[:, None, 0] - BOUNDS_TOLERANCE
-    high = world.bounds[:, None, 1] + BOUNDS_TOLERANCE
-    return np.asarray(np.any((path < low) | (path > high), axis=-1))
+    whole = np.concatenate([path[:, :1], path], axis=1)
+    return _events(world, whole, np.zeros(path.shape[:2], dtype=bool))[1]
+
+
+def _events(world: World, path: Array, sensed: Bools) -> tuple[Bools, Bools]:
+    """`contacts` and `leaves_bounds` of a path (N, n + 1, 3)."""
+    touch, outside = sensed.copy(), np.empty(sensed.shape, dtype=bool)
+    kernels.events(world, plain(path), BOUNDS_TOLERANCE, touch, outside)
+    return touch, outside
 
 
 @dataclass(frozen=True)
@@ -191,8 +195,8 @@ def judge(world: World, start: Array, path: Array, sensed: Bools, stop: Bools) -
         start: (N, 3) position at the slot's start. path: (N, n, 3) positions after each step.
         sensed: (N, n) contact sensor after each step. stop: (N,) whether it flew the stop.
     """
-    touch = contacts(world, np.concatenate([start[:, None], path], axis=1), sensed)
-    out = leaves_bounds(world, path)
+    whole = np.concatenate([start[:, None], path], axis=1)
+    touch, out = _events(world, whole, sensed)
     event = touch | out
     first = np.where(event.any(axis=1), event.argmax(axis=1), path.shape[1])
     contact, outside = np.any(touch, axis=1), np.any(out, axis=1)

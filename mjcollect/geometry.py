@@ -36,46 +36,23 @@ def point_box_distance(points: Array, boxes: Array) -> Array:
 def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
     """Exact distance between segments and boxes; zero where they meet.
 
-    The squared distance along a segment is convex and piecewise quadratic, so its derivative is
-    piecewise linear and rising: the minimum is found at the sign change between two breakpoints.
-
     Args:
         start, end: (..., 3). boxes: broadcastable (..., 2, 3).
 
     Returns:
         (...) distances in metres.
     """
-    start, end, low, high = np.broadcast_arrays(start, end, boxes[..., 0, :], boxes[..., 1, :])
-    step = end - start
-    safe = np.where(step == 0.0, 1.0, step)
-    moving = step != 0.0
-    # Where each coordinate enters and leaves the slab of the box, as a fraction of the segment.
-    cuts = np.concatenate(
-        [
-            np.where(moving, (low - start) / safe, 0.0),
-            np.where(moving, (high - start) / safe, 0.0),
-            np.zeros((*start.shape[:-1], 1)),
-            np.ones((*start.shape[:-1], 1)),
-        ],
-        axis=-1,
+    from mjcollect import compiled, kernels  # numba takes a moment to import
+
+    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1], boxes.shape[:-2])
+    gap = np.empty(shape)
+    kernels.segment_gaps(
+        compiled.rows(start, shape, (3,)),
+        compiled.rows(end, shape, (3,)),
+        compiled.rows(boxes, shape, (2, 3)),
+        gap.reshape(-1),
     )
-    cuts = np.sort(np.clip(cuts, 0.0, 1.0), axis=-1)
-    at = start[..., None, :] + cuts[..., None] * step[..., None, :]  # (..., 8, 3)
-    over = at - np.clip(at, low[..., None, :], high[..., None, :])
-    slope = np.sum(over * step[..., None, :], axis=-1)  # half the derivative, rising
-    right = np.argmax(slope >= 0.0, axis=-1)
-    right = np.where(slope[..., -1] < 0.0, cuts.shape[-1] - 1, right)[..., None]
-    left = np.maximum(right - 1, 0)
-    slope_r = np.take_along_axis(slope, right, -1)
-    slope_l = np.take_along_axis(slope, left, -1)
-    cut_r = np.take_along_axis(cuts, right, -1)
-    cut_l = np.take_along_axis(cuts, left, -1)
-    rise = slope_r - slope_l
-    share = np.where(rise > 0.0, -slope_l / np.where(rise > 0.0, rise, 1.0), 1.0)
-    best = cut_l + np.clip(share, 0.0, 1.0) * (cut_r - cut_l)
-    nearest = start + best * step
-    gap = nearest - np.clip(nearest, low, high)
-    return np.asarray(np.linalg.norm(gap, axis=-1))
+    return gap
 
 
 def inflate(boxes: Array, margin: float | Array) -> Array:
@@ -93,7 +70,15 @@ def segment_clear(start: Array, end: Array, boxes: Array, radius: float) -> NDAr
     Returns:
         (...) booleans.
     """
-    if len(boxes) == 0:
-        return np.ones(np.broadcast_shapes(start.shape, end.shape)[:-1], dtype=bool)
-    distance = segment_box_distance(start[..., None, :], end[..., None, :], boxes)
-    return np.asarray(np.all(distance >= radius, axis=-1))
+    from mjcollect import compiled, kernels  # numba takes a moment to import
+
+    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1])
+    clear = np.empty(shape, dtype=bool)
+    kernels.segments_clear(
+        compiled.rows(start, shape, (3,)),
+        compiled.rows(end, shape, (3,)),
+        compiled.plain(boxes),
+        float(radius),
+        clear.reshape(-1),
+    )
+    return clear

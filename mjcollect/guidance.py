@@ -8,9 +8,14 @@ could lie, since gaps narrower than two cells are closed on a conservative grid.
 from __future__ import annotations
 
 import itertools
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mjcollect import kernels
+from mjcollect.compiled import plain
 from mjcollect.distance_field import DistanceField
 from mjcollect.geometry import Array, inflate, point_box_distance, segment_clear
 from mjcollect.scene import Scene
@@ -28,6 +33,24 @@ class GuidanceError(ValueError):
     """No passage to the goal was found on the finest grid."""
 
 
+class Way(NamedTuple):
+    """The numbers that guidance is read from, see `kernels.query`; F fields, the finest last.
+
+    Attributes:
+        aim: (3,). keep: (M, 2, 3) boxes that a free line of sight to it misses.
+        low, spacing: (F, 3) m. nodes: (F, 3), nodes along each axis.
+        first: (F,) index of each field's first node in `values` (V,), in metres.
+    """
+
+    aim: Array
+    keep: Array
+    low: Array
+    spacing: Array
+    nodes: NDArray[np.int64]
+    first: NDArray[np.int64]
+    values: NDArray[np.float32]
+
+
 class Guidance:
     """Shortest-path distance and direction to one node of a scene, from anywhere in the bounds.
 
@@ -36,6 +59,7 @@ class Guidance:
             point of its tolerance ball where the body fits.
         tolerance: metres within which the body must come to rest.
         path: (P, 3) the shortest tight free path found from `start` to the aim.
+        way: what distance and direction are read from.
     """
 
     def __init__(self, scene: Scene, node: int, start: Array) -> None:
@@ -55,17 +79,23 @@ class Guidance:
         low, high = scene.obstacles[:, 0], scene.obstacles[:, 1]
         beside = np.maximum(low - self.aim, self.aim - high).max(axis=1)
         margin = np.clip(0.99 * beside, scene.uav_radius, scene.uav_radius + SIGHT_CLEARANCE)
-        self._keep = inflate(scene.obstacles, margin)
-        self._fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
-        self.path = self._find_path(start)
-        for field in self._fields:
-            field.forget_nodes()
+        fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
+        self.path = self._find_path(start, fields)
+        self.way = Way(
+            aim=self.aim,
+            keep=inflate(scene.obstacles, margin),
+            low=np.stack([field.low for field in fields]),
+            spacing=np.stack([field.h for field in fields]),
+            nodes=np.array([field.filled.shape for field in fields], dtype=np.int64),
+            first=np.cumsum([0, *(field.filled.size for field in fields[:-1])]),
+            values=np.concatenate([field.filled.reshape(-1) for field in fields]),
+        )
 
-    def _find_path(self, start: Array) -> Array:
+    def _find_path(self, start: Array, fields: list[DistanceField]) -> Array:
         """The shortest tight free path found; adds the finer field where the way bends."""
         scene, coarse, within = self.scene, None, None
-        if self._fields[0].entry(start) is not None:
-            coarse = way_down(self._fields[0], scene, start, self.aim)
+        if fields[0].entry(start) is not None:
+            coarse = way_down(fields[0], scene, start, self.aim)
             if len(coarse) == 2:
                 return coarse
             slack = min(FINE_SLACK, FINE_SLACK_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
@@ -73,7 +103,7 @@ class Guidance:
         fine = DistanceField(scene, self.aim, FINE, within)
         shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
         if fine.entry(start) is not None:
-            self._fields.append(fine)
+            fields.append(fine)
             ways = [way_down(field, scene, start, self.aim) for field in (fine, shortest)]
             return min(ways if coarse is None else [coarse, *ways], key=path_length)
         if coarse is None:
@@ -84,7 +114,7 @@ class Guidance:
             )
         return coarse
 
-    @property
+    @cached_property
     def length(self) -> float:
         """Metres of `path`, led to the goal itself where the aim is beside it."""
         to_goal = np.array([*self.path[:-1], self.goal])
@@ -94,29 +124,9 @@ class Guidance:
 
     def query(self, q: Array) -> tuple[Array, Array]:
         """Shortest free path length (N,) in m and its unit direction (N, 3) from q (N, 3)."""
-        distance, direction = self._fields[0].query(q)
-        for field in self._fields[1:]:
-            finer, finer_direction = field.query(q)
-            known = np.isfinite(finer)
-            distance = np.where(known, finer, distance)
-            direction = np.where(known[:, None], finer_direction, direction)
-        offset = self.aim - q
-        straight = np.linalg.norm(offset, axis=-1)
-        seen = self._sees_aim(q)
-        distance = np.where(seen, straight, np.maximum(distance, straight))
-        direction = np.where(seen[:, None], offset, direction)
-        norm = np.linalg.norm(direction, axis=-1, keepdims=True)
-        return distance, np.where(norm > 1e-9, direction / np.maximum(norm, 1e-9), 0.0)
-
-    def _sees_aim(self, q: Array) -> np.ndarray:
-        """Where the straight line from q (N, 3) to the aim misses every box with room to spare."""
-        start, step = q[:, None], self.aim - q[:, None]
-        step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-        one = (self._keep[:, 0] - start) / step
-        two = (self._keep[:, 1] - start) / step
-        enter = np.minimum(one, two).max(axis=-1)
-        leave = np.maximum(one, two).min(axis=-1)
-        return np.asarray(~np.any((enter <= leave) & (leave >= 0.0) & (enter <= 1.0), axis=1))
+        distance, direction = np.empty(len(q)), np.empty((len(q), 3))
+        kernels.query(self.way, np.arange(len(q)), plain(q), distance, direction)
+        return distance, direction
 
 
 def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Array:

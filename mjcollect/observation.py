@@ -6,10 +6,12 @@ S = {q, v, l, m, p} of the paper's section IV-B. Both return named parts, each (
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mjcollect import kernels
 from mjcollect.flight import Bools, World
 from mjcollect.geometry import FAR, Array, nearest_point_offset
 from mjcollect.reward import Approach
@@ -36,60 +38,55 @@ class State:
     collected: Bools
     depot: Array
 
+    def rows(self, which: NDArray[np.intp]) -> State:
+        """The state of the simulations `which` (n,) only."""
+        approach = Approach(
+            **{field.name: getattr(self.approach, field.name)[which] for field in fields(Approach)}
+        )
+        return State(
+            self.q[which],
+            self.v[which],
+            approach,
+            self.items[which],
+            self.collected[which],
+            self.depot[which],
+        )
+
 
 def guided(world: World, state: State) -> Parts:
     """Velocity, shortest-path guidance, goal offset at three scales, nearest boxes and walls."""
     approach = state.approach
-    distance = approach.distance[:, None]
-    stopping = np.sqrt(2 * world.a_max * distance)
-    speed = np.linalg.norm(state.v, axis=-1, keepdims=True)
-    closing = approach.closing[:, None]
-    return {
-        "velocity": state.v / world.v_max,
-        "guide_direction": approach.direction,
-        "guide_ahead": (approach.ahead[:, 1:] / 100).reshape(len(state.q), -1),
-        "guide_distance": np.concatenate(
-            [distance / 300, np.tanh(distance / 60), np.tanh(distance / 12)], axis=-1
-        ),
-        "goal_offset": np.concatenate(
-            [approach.offset / 300, np.tanh(approach.offset / 60), np.tanh(approach.offset / 12)],
-            axis=-1,
-        ),
-        # Along the path, across it, and how much faster than one can still stop.
-        "speeds": np.concatenate(
-            [
-                closing / world.v_max,
-                np.sqrt(np.maximum(speed**2 - closing**2, 0.0)) / world.v_max,
-                np.tanh((closing - np.minimum(stopping, world.v_max)) / 10),
-            ],
-            axis=-1,
-        ),
-        "boxes": _nearest_boxes(world, state.q),
-        "walls": np.concatenate(
-            [
-                np.tanh((state.q - world.bounds[:, 0]) / REACH),
-                np.tanh((world.bounds[:, 1] - state.q) / REACH),
-            ],
-            axis=-1,
-        ),
+    bends = approach.ahead.shape[1] - 1
+    widths = {
+        "velocity": 3,
+        "guide_direction": 3,
+        "guide_ahead": 3 * bends,  # the first point lies straight ahead
+        "guide_distance": 3,
+        "goal_offset": 9,
+        "speeds": 3,
+        "boxes": 3 * NEAREST_BOXES,
+        "walls": 6,
     }
-
-
-def _nearest_boxes(world: World, q: Array) -> Array:
-    """Direction times closeness to the nearest boxes, nearest first: (N, 3 * NEAREST_BOXES)."""
-    offset = nearest_point_offset(q[:, None], world.boxes)
-    gap = np.linalg.norm(offset, axis=-1)
-    if gap.shape[1] < NEAREST_BOXES:
-        missing = NEAREST_BOXES - gap.shape[1]
-        offset = np.concatenate([offset, np.full((len(q), missing, 3), FAR)], axis=1)
-        gap = np.concatenate([gap, np.full((len(q), missing), FAR)], axis=1)
-    nearest = np.argsort(gap, axis=1, kind="stable")[:, :NEAREST_BOXES]
-    offset = np.take_along_axis(offset, nearest[..., None], axis=1)
-    gap = np.take_along_axis(gap, nearest, axis=1)[..., None]
-    # One metre away reads close to 1, REACH away 1/2, far away 0; padding exactly 0, so that an
-    # observation does not depend on how many boxes other simulations have.
-    closeness = np.where(gap < FAR / 2, 1.0 / (1.0 + gap / REACH), 0.0)
-    return (offset / np.maximum(gap, 1e-9) * closeness).reshape(len(q), -1)
+    flat = np.empty((len(state.q), sum(widths.values())))
+    kernels.guided(
+        world,
+        state.q,
+        state.v,
+        approach.offset,
+        approach.distance,
+        approach.direction,
+        approach.closing,
+        approach.ahead,
+        NEAREST_BOXES,
+        REACH,
+        FAR,
+        flat,
+    )
+    parts, end = {}, 0
+    for name, width in widths.items():
+        parts[name] = flat[:, end : end + width]
+        end += width
+    return parts
 
 
 def paper(world: World, state: State) -> Parts:

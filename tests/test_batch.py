@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from mjcollect.batch import BatchedFlightEnv, Simulations
@@ -320,6 +321,30 @@ def test_done_simulations_are_reset_and_the_others_go_on(blocked_course, environ
             flags[flag] += int(after[flag].sum())
     assert flags["success"] > 0
     assert flags["crashed"] > 1
+
+
+@pytest.mark.parametrize("reward", PRESETS)
+def test_ended_episodes_begin_anew_as_torchrl_itself_would_do_it(
+    blocked_course, environment, reward
+):
+    """`maybe_reset` is a short cut: `EnvBase`'s own gives the same tensors and the same starts."""
+    short, own = (environment(blocked_course, 5, rules=Rules(reward=reward)) for _ in range(2))
+    nows = [short.reset(), own.reset()]
+    for env in (short, own):
+        env.simulations.place(np.arange(5), *starts())
+    ended = 0
+    for command in actions(30):
+        befores = []
+        for now, env in zip(nows, (short, own), strict=True):
+            now["action"] = torch.from_numpy(command).clamp(-1, 1).float()
+            befores.append(env._step_mdp(env.step(now)))
+        ended += int(befores[0]["done"].sum())
+        nows = [short.maybe_reset(befores[0]), EnvBase.maybe_reset(own, befores[1])]
+        assert set(nows[0].keys()) == set(nows[1].keys())
+        for name, values in nows[0].items():
+            assert torch.equal(values, nows[1][name]), name
+        np.testing.assert_array_equal(short.simulations.state, own.simulations.state)
+    assert ended > (2 if PRESETS[reward].crash_ends else 0)
 
 
 def test_the_step_limit_truncates_and_does_not_terminate(free_course, environment):
