@@ -6,8 +6,11 @@ within the body's radius of a box, so a path through free nodes never touches on
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import skfmm
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from mjcollect.geometry import Array, segment_clear
@@ -24,7 +27,6 @@ class DistanceField:
 
     Attributes:
         low, h: (3,) position of the first node, and spacing, in metres.
-        filled: (X, Y, Z) distances, also continued into blocked cells; NaN where undefined.
     """
 
     def __init__(
@@ -72,14 +74,15 @@ class DistanceField:
         else:
             closed = blocked if outside is None else blocked | outside
             front = np.ma.MaskedArray(straight - ball, closed)
-            pace = 1.0 / (1.0 + crowding * self._crowding(blocked))
+            pace = np.ones(self._shape)
+            if crowding > 0.0:
+                pace /= 1.0 + crowding * self._crowding(blocked)
             distance = skfmm.travel_time(front, pace, dx=self.h.tolist())
             distance = np.ma.filled(distance, np.nan) + ball
             inside = tuple(near[seen].T)
             distance[inside] = straight[inside]
             self._distance = distance.astype(np.float32)
-        self._free = np.isfinite(self._distance)
-        self.filled = self._fill(outside)
+        self._free, self._outside = np.isfinite(self._distance), outside
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
         """How near boxes or bounds are: 1 at them, 0 from ROOM metres on."""
@@ -99,16 +102,20 @@ class DistanceField:
             np.sqrt(square[0][:, None, None] + square[1][None, :, None] + square[2][None, None, :])
         )
 
-    def _fill(self, outside: np.ndarray | None) -> np.ndarray:
-        """The field continued into blocked cells, rising away from the nearest free one."""
+    @cached_property
+    def filled(self) -> NDArray[np.float32]:
+        """The field continued into blocked cells, rising away from the nearest free one.
+
+        (X, Y, Z) metres; NaN where undefined.
+        """
         if not self._connected:
             return self._distance
         away, index = ndimage.distance_transform_edt(
             ~self._free, sampling=self.h, return_indices=True
         )
         filled = self._distance[tuple(index)] + np.float32(RISE) * away.astype(np.float32)
-        if outside is not None:
-            filled[outside] = np.nan
+        if self._outside is not None:
+            filled[self._outside] = np.nan
         return np.asarray(filled)
 
     def points(self, nodes: np.ndarray) -> Array:
