@@ -1,22 +1,32 @@
-"""Slots per CPU-second of each way to fly, as a ratio to raw mj_step of the same model.
+"""Slots per second of each way to simulate, as a ratio to raw mj_step of the same model.
 
-    python -m benchmarks.simulation
+    OMP_NUM_THREADS=1 python -m benchmarks.simulation --out docs/results/simulation.json
 
-Interleaved repeats, medians; every way flies the guidance law's scene with random actions. The
-batched environment includes projection, swept contact test, guidance, reward, observation, reset.
+Every way flies random actions from seeded starts all around the way. The batched environment does
+all that training asks of it: projection, swept contact test, guidance, reward, observation, resets.
+Interleaved rounds; each ratio is the median over the rounds of the ratio within a round. CPU
+seconds count all threads; wall-clock ratios compare with raw mj_step on as many threads.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import json
+import os
+import platform
 import statistics
 import time
+import warnings
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import torch
 import tyro
+from torchrl.envs import DMControlWrapper
 
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
@@ -24,6 +34,13 @@ from mjcollect.mjcf import compile_model
 from mjcollect.scene import Scene
 from mjcollect.task import make_environment
 from mjcollect.tour import plan_order
+from train.runs import versions
+
+RAW, ROLLOUT = "raw mj_step", "mujoco.rollout, N = 256"
+SINGLE, WRAPPED = "dm-control environment", "dm-control environment, TorchRL's wrapper"
+LARGE = 256  # batches from which on the targets hold
+OF_RAW, OVER_WRAPPED, OVER_WRAPPED_WALL = 0.6, 6.0, 10.0
+Fly = Callable[[int], int]  # about so many slots; returns how many it flew
 
 
 @dataclass(frozen=True)
@@ -32,81 +49,202 @@ class Args:
 
     scene: str = "scenario_1"
     """Scene file or bundled scene."""
-    repeats: int = 5
-    """Interleaved repeats of each way."""
-    slots: int = 4096
-    """Slots flown in a repeat."""
-    threads: int = 1
-    """MuJoCo's threads in the batched ways."""
+    segment: int = 0
+    """Segment of its tour."""
+    counts: tuple[int, ...] = (64, 256, 1024)
+    """Simulations side by side."""
+    threads: tuple[int, ...] = (1, 2)
+    """MuJoCo's threads."""
+    rounds: int = 9
+    """Interleaved rounds."""
+    seconds: float = 0.3
+    """About how long each way flies in a round."""
+    out: Path | None = None
+    """JSON file for the results."""
 
 
-def raw(scene: Scene) -> Callable[[int], None]:
-    """Plain mj_step, one slot after another."""
+@dataclass(frozen=True)
+class Way:
+    """One way to simulate, on a number of threads."""
+
+    name: str
+    threads: int
+
+
+def raw(scene: Scene, threads: int) -> Fly:
+    """Plain mj_step, as many simulations as threads."""
     model = compile_model(scene)
-    data = mujoco.MjData(model)
+    datas = [mujoco.MjData(model) for _ in range(threads)]
+    pool = ThreadPoolExecutor(threads)
 
-    def fly(slots: int) -> None:
-        mujoco.mj_resetData(model, data)
-        data.ctrl[:] = 0.01
-        for _ in range(slots):
-            mujoco.mj_step(model, data, scene.substeps)
+    def fly(slots: int) -> int:
+        each = max(slots // threads, 1)
+        for data in datas:
+            mujoco.mj_resetData(model, data)
+            data.ctrl[:] = 0.01
+        steps = each * scene.substeps
+        list(pool.map(lambda data: mujoco.mj_step(model, data, steps), datas))
+        return each * threads
 
     return fly
 
 
-def single(course: Course) -> Callable[[int], None]:
+def rollout(course: Course, count: int, threads: int) -> Fly:
+    """mujoco.rollout alone: the batched environment without what it adds."""
+    sims = Simulations([course], count, start="spread", threads=threads)
+    sims.reset()
+
+    def fly(slots: int) -> int:
+        for _ in range(max(slots // count, 1)):
+            sims.roll(np.zeros((count, 3)))
+        return max(slots // count, 1) * count
+
+    return fly
+
+
+def batched(course: Course, count: int, threads: int) -> Fly:
+    """The TorchRL environment of `count` simulations."""
+    env = BatchedFlightEnv(Simulations([course], count, start="spread", threads=threads))
+    state = env.reset()
+
+    def fly(slots: int) -> int:
+        nonlocal state
+        for _ in range(max(slots // count, 1)):
+            state["action"] = torch.rand(count, 3) * 2 - 1
+            _, state = env.step_and_maybe_reset(state)
+        return max(slots // count, 1) * count
+
+    return fly
+
+
+def single(course: Course) -> Fly:
     """The dm-control environment."""
     environment = make_environment(course, start="spread", random=0)
     actions = np.random.default_rng(0).uniform(-1, 1, (4096, 3))
     environment.reset()
 
-    def fly(slots: int) -> None:
+    def fly(slots: int) -> int:
         for slot in range(slots):
             environment.step(actions[slot % 4096])
+        return slots
 
     return fly
 
 
-def batched(course: Course, count: int, threads: int) -> Callable[[int], None]:
-    """The TorchRL environment of `count` simulations."""
-    sims = Simulations([course], count, start="spread", threads=threads)
-    env = BatchedFlightEnv(sims)
+def wrapped(course: Course) -> Fly:
+    """The dm-control environment as TorchRL takes it in."""
+    env = DMControlWrapper(make_environment(course, start="spread", random=0))
     state = env.reset()
 
-    def fly(slots: int) -> None:
+    def fly(slots: int) -> int:
         nonlocal state
-        for _ in range(max(slots // count, 1)):
-            state["action"] = torch.rand(count, 3) * 2 - 1
+        for _ in range(slots):
+            state["action"] = torch.rand(3, dtype=torch.float64) * 2 - 1
             _, state = env.step_and_maybe_reset(state)
+        return slots
 
     return fly
+
+
+def measure(args: Args) -> dict[Way, tuple[list[float], list[float]]]:
+    """Slots per CPU-second and per second of each way, one of each a round."""
+    scene = Scene.find(args.scene)
+    course = Course.segment(scene, plan_order(scene, "lkh"), args.segment)
+    ways: dict[Way, Fly] = {Way(SINGLE, 1): single(course), Way(WRAPPED, 1): wrapped(course)}
+    for threads in args.threads:
+        ways[Way(RAW, threads)] = raw(scene, threads)
+        ways[Way(ROLLOUT, threads)] = rollout(course, LARGE, threads)
+        for count in args.counts:
+            ways[Way(batched_name(count), threads)] = batched(course, count, threads)
+    slots = {}
+    for way, fly in ways.items():
+        fly(2048)  # warm, compiled
+        begun, flown = time.perf_counter(), 0
+        while time.perf_counter() - begun < args.seconds:
+            flown += fly(256)
+        slots[way] = flown
+    rates: dict[Way, tuple[list[float], list[float]]] = {way: ([], []) for way in ways}
+    for _ in range(args.rounds):
+        for way, fly in ways.items():
+            before = time.process_time(), time.perf_counter()
+            flown = fly(slots[way])
+            rates[way][0].append(flown / (time.process_time() - before[0]))
+            rates[way][1].append(flown / (time.perf_counter() - before[1]))
+    return rates
+
+
+def batched_name(count: int) -> str:
+    """What the batched environment is called in the table."""
+    return f"batched environment, N = {count}"
+
+
+def median_ratio(ours: list[float], theirs: list[float]) -> float:
+    """Median over the rounds."""
+    return statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
 
 
 def main(args: Args) -> None:
-    """Measure and print the table."""
+    """Measure, print the table and the targets, save."""
     torch.set_num_threads(1)
-    scene = Scene.find(args.scene)
-    course = Course.segment(scene, plan_order(scene, "lkh"), 0)
-    ways = {"raw mj_step, one thread": raw(scene), "dm-control environment": single(course)}
-    for count in (64, 256, 1024):
-        ways[f"batched TorchRL, N = {count}"] = batched(course, count, args.threads)
-    cpu: dict[str, list[float]] = {way: [] for way in ways}
-    wall: dict[str, list[float]] = {way: [] for way in ways}
-    for fly in ways.values():
-        fly(args.slots // 8)
-    for _ in range(args.repeats):
-        for way, fly in ways.items():
-            before = time.process_time(), time.perf_counter()
-            fly(args.slots)
-            cpu[way].append(args.slots / (time.process_time() - before[0]))
-            wall[way].append(args.slots / (time.perf_counter() - before[1]))
-    base = next(iter(ways))
-    print(f"| way ({args.threads} threads) | slots per CPU-second | of raw | of raw, wall time |")
-    print("|---|---|---|---|")
-    for way in ways:
-        of_cpu = statistics.median(a / b for a, b in zip(cpu[way], cpu[base], strict=True))
-        of_wall = statistics.median(a / b for a, b in zip(wall[way], wall[base], strict=True))
-        print(f"| {way} | {statistics.median(cpu[way]):,.0f} | {of_cpu:.2f} | {of_wall:.2f} |")
+    warnings.filterwarnings("ignore")
+    rates = measure(args)
+    rows = []
+    for way, (cpu, wall) in sorted(rates.items(), key=lambda item: item[0].threads):
+        base, other = rates[Way(RAW, way.threads)], rates[Way(WRAPPED, 1)]
+        rows.append(
+            {
+                "way": way.name,
+                "threads": way.threads,
+                "slots_per_cpu_second": statistics.median(cpu),
+                "slots_per_second": statistics.median(wall),
+                "of_raw_cpu": median_ratio(cpu, base[0]),
+                "of_raw_wall": median_ratio(wall, base[1]),
+                "over_wrapped_cpu": median_ratio(cpu, other[0]),
+                "over_wrapped_wall": median_ratio(wall, other[1]),
+            }
+        )
+    print("| way | threads | slots per CPU-second | of raw | slots per second | of raw |")
+    print("|---|---|---|---|---|---|")
+    for row in rows:
+        print(
+            f"| {row['way']} | {row['threads']} | {row['slots_per_cpu_second']:,.0f} "
+            f"| {row['of_raw_cpu']:.2f} | {row['slots_per_second']:,.0f} "
+            f"| {row['of_raw_wall']:.2f} |"
+        )
+    targets = judged(rows, args)
+    print("\n| target | worst at N >= 256 | met |\n|---|---|---|")
+    for target in targets:
+        print(
+            f"| {target['target']} | {target['value']:.2f} | {'yes' if target['met'] else 'no'} |"
+        )
+    if args.out:
+        document = {
+            "arguments": dataclasses.asdict(args) | {"out": None},
+            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
+            "versions": versions(),
+            "results": rows,
+            "targets": targets,
+        }
+        args.out.parent.mkdir(parents=True, exist_ok=True)
+        args.out.write_text(json.dumps(document, indent=1) + "\n")
+
+
+def judged(rows: list[dict], args: Args) -> list[dict]:
+    """The targets and whether each is met, by the least of the large batches."""
+    large = {batched_name(count) for count in args.counts if count >= LARGE}
+    targets = []
+    for threads in args.threads:
+        mine = [row for row in rows if row["threads"] == threads and row["way"] in large]
+        wanted = [("of_raw_cpu", OF_RAW, "of raw mj_step per CPU-second")]
+        wanted += [("over_wrapped_cpu", OVER_WRAPPED, "times TorchRL's wrapper per CPU-second")]
+        if threads > 1:
+            wanted += [("of_raw_wall", OF_RAW, "of raw mj_step per second")]
+            wanted += [("over_wrapped_wall", OVER_WRAPPED_WALL, "times TorchRL's wrapper")]
+        for key, least, what in wanted:
+            value = min(row[key] for row in mine)
+            name = f"{threads} thread{'s' * (threads > 1)}: at least {least:g} {what}"
+            targets.append({"target": name, "value": value, "met": value >= least})
+    return targets
 
 
 if __name__ == "__main__":

@@ -94,7 +94,12 @@ class Simulations:
 
     def step(self, action: Array) -> Outcome:
         """Fly one slot with raw actions (N, 3)."""
-        acceleration = self.episodes.begin_slot(action)
+        self.acceleration = self.episodes.begin_slot(action)
+        self.roll(self.acceleration)
+        return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
+
+    def roll(self, acceleration: Array) -> None:
+        """Let MuJoCo fly one slot with accelerations (N, 3) in m/s^2; no rules of flight."""
         self._control[:] = acceleration[:, None]
         self._rollout.rollout(
             self._models,
@@ -107,10 +112,6 @@ class Simulations:
             sensordata=self._sensors,
         )
         self.state = self._states[:, -1].copy()
-        self.acceleration = acceleration
-        return self.episodes.end_slot(
-            self._states[:, :, 1:4], self.state[:, 4:7], self._sensors[:, :, 0] > 0
-        )
 
     @property
     def path(self) -> Array:
