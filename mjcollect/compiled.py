@@ -13,16 +13,16 @@ Array = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, **options: Any) -> F:
     """Compile at the first call, cached on disk where there is a folder that can be written.
 
-    Without fast-math: the same operations in the same order, so the same bits. Divisions by zero
-    give inf or NaN.
+    Without fast-math, unless `options` for numba.njit ask for it: the same operations in the same
+    order, so the same bits. Divisions by zero give inf or NaN.
     """
     try:
-        made = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        made = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     except RuntimeError:  # no such folder: compiled anew in every process
-        made = numba.njit(nogil=True, error_model="numpy")(function)
+        made = numba.njit(nogil=True, error_model="numpy", **options)(function)
     return cast(F, made)
 
 

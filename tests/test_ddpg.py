@@ -7,6 +7,7 @@ from tensordict import TensorDict
 
 from train.ddpg import make_buffer, sample
 from train.lean import LEARNERS
+from train.norm_relu import norm_relu_backward, torch_backward
 
 SETTINGS = {
     "width": 32, "gamma": 0.97, "alpha_actor": 1e-3, "alpha_critic": 2e-3, "alpha_target": 0.05,
@@ -88,7 +89,7 @@ def check_lean_is_torchrl(size, n, tolerance, steps, **changes):
         ):
             targets = dict(targets.flatten_keys(".").items())
             for name, parameter in module.named_parameters():
-                close(parameter, targets[name].data, tolerance)
+                close(parameter.data, targets[name].data, tolerance)
     assert not torch.allclose(vector(lean.target_actor), vector(lean.actor), atol=1e-3)
 
 
@@ -100,6 +101,24 @@ def test_lean_update_is_torchrls(steps):
 @pytest.mark.parametrize("steps", [False, True])
 def test_lean_update_is_torchrls_in_double_precision(double, steps):
     check_lean_is_torchrl(SIZE, 20, 1e-10, steps, alpha_actor=1e-2, alpha_critic=1e-2)
+
+
+@pytest.mark.parametrize("backward", [norm_relu_backward, torch_backward])
+def test_gradient_of_norm_and_relu_is_autograds(double, backward):
+    """Compiled for the CPU, and the torch version for other devices."""
+    rng = torch.Generator().manual_seed(0)
+    z, d = (torch.randn(30, 9, generator=rng) * 2 for _ in range(2))
+    scale, shift = (torch.randn(9, generator=rng) for _ in range(2))
+    bias, rows = torch.zeros(9, requires_grad=True), 20
+    leaves = [tensor.clone().requires_grad_() for tensor in (z, scale, shift)]
+    wanted = torch.nn.functional.layer_norm(leaves[0] + bias, (9,), *leaves[1:]).relu()
+    to_z = torch.autograd.grad(wanted, leaves[0], d, retain_graph=True)[0]
+    to_rest = torch.autograd.grad(wanted[:rows], [bias, *leaves[1:]], d[:rows])
+    y, mean, rstd = torch.native_layer_norm(z, (9,), scale, shift, 1e-5)
+    out = tuple(torch.full((9,), 7.0) for _ in range(3))
+    got = backward(d.clone(), y.relu(), z, mean, rstd, scale, rows, out)
+    close(got, to_z, 1e-12)
+    close(out, to_rest, 1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -17,11 +17,9 @@ from torch import Tensor, nn
 from torchrl.data import TensorDictReplayBuffer
 
 from train.ddpg import BaseLearner, Learner, sample
+from train.norm_relu import norm_relu_backward
 
-_EPS = 1e-5  # nn.LayerNorm's
-_norm = torch.native_layer_norm
-_norm_backward = torch.ops.aten.native_layer_norm_backward
-_relu_backward = torch.ops.aten.threshold_backward
+EPS = 1e-5  # nn.LayerNorm's
 
 
 class Layers(NamedTuple):
@@ -58,13 +56,13 @@ class Layers(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What the backward pass needs of a hidden layer: inputs, values before the norm, the norm."""
+    """What the backward pass needs of a hidden layer: inputs, outputs, what is normed, the norm."""
 
     x: Tensor
+    h: Tensor
     z: Tensor
     mean: Tensor
     rstd: Tensor
-    h: Tensor
 
 
 def forward(net: Layers, x: Tensor) -> tuple[Tensor, list[Record]]:
@@ -72,9 +70,10 @@ def forward(net: Layers, x: Tensor) -> tuple[Tensor, list[Record]]:
     records = []
     for weight, bias, scale, shift in net.hidden:
         z = torch.addmm(bias, x, weight.t())
-        y, mean, rstd = _norm(z, scale.shape, scale, shift, _EPS)
-        records.append(Record(x, z, mean, rstd, y.relu_()))
-        x = y
+        y, mean, rstd = torch.native_layer_norm(z, scale.shape, scale, shift, EPS)
+        h = y.relu_()
+        records.append(Record(x, h, z, mean, rstd))
+        x = h
     return torch.addmm(net.bias, x, net.weight.t()), records
 
 
@@ -89,17 +88,11 @@ def backward(net: Layers, grad: Layers, records: list[Record], d: Tensor, rows: 
     torch.sum(d[:rows], 0, out=grad.bias)
     d = d @ net.weight
     for i in reversed(range(len(records))):
-        x, z, mean, rstd, h = records[i]
-        weight, _, scale, shift = net.hidden[i]
+        r, (weight, _, scale, _) = records[i], net.hidden[i]
         to_weight, to_bias, to_scale, to_shift = grad.hidden[i]
-        d = _relu_backward(d, h, 0)
-        top = (d[:rows], z[:rows], scale.shape, mean[:rows], rstd[:rows], scale, shift)
-        _, d_scale, d_shift = _norm_backward(*top, [False, True, True])
-        to_scale.copy_(d_scale)
-        to_shift.copy_(d_shift)
-        d, _, _ = _norm_backward(d, z, scale.shape, mean, rstd, scale, shift, [True, False, False])
-        torch.mm(d[:rows].t(), x[:rows], out=to_weight)
-        torch.sum(d[:rows], 0, out=to_bias)
+        out = (to_bias, to_scale, to_shift)
+        d = norm_relu_backward(d, r.h, r.z, r.mean, r.rstd, scale, rows, out)
+        torch.mm(d[:rows].t(), r.x[:rows], out=to_weight)
         if i > 0:
             d = d @ weight
     return d
