@@ -34,6 +34,7 @@ class Course:
         scene: the scene.
         nodes: start node, then the targets in turn; item index, or -1 for the depot.
         before: items collected before the course begins.
+        beyond: the node that the tour goes on to afterwards, if it does.
         guidance: one per target, from the node before.
         step_limit: slots after which an episode is cut off (P).
     """
@@ -41,6 +42,7 @@ class Course:
     scene: Scene
     nodes: tuple[int, ...]
     before: tuple[int, ...] = ()
+    beyond: int | None = None
     guidance: tuple[Guidance, ...] = field(init=False)
     step_limit: int = field(init=False)
 
@@ -51,7 +53,16 @@ class Course:
             GuidanceError: a target cannot be reached.
         """
         ways = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
-        fields = [Guidance(self.scene, to, self.scene.point(frm)) for frm, to in ways]
+        nexts = [*self.nodes[2:], self.beyond]
+        fields = [
+            Guidance(
+                self.scene,
+                to,
+                self.scene.point(frm),
+                None if after is None else self.scene.point(after),
+            )
+            for (frm, to), after in zip(ways, nexts, strict=True)
+        ]
         time = sum(
             detour_bound(self.scene, frm, to, field.length)
             for (frm, to), field in zip(ways, fields, strict=True)
@@ -72,7 +83,9 @@ class Course:
                 f"segment: {index}: must be 0 to {len(order)}: a tour of {len(order)} items has "
                 f"{len(order) + 1} segments"
             )
-        return cls(scene, legs(order)[index], before=tuple(order[:index]))
+        all_legs = legs(order)
+        beyond = all_legs[index + 1][1] if index + 1 < len(all_legs) else None
+        return cls(scene, all_legs[index], before=tuple(order[:index]), beyond=beyond)
 
     @classmethod
     def mission(cls, scene: Scene, order: tuple[int, ...]) -> Course:

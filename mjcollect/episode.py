@@ -16,7 +16,6 @@ from mjcollect import kernels
 from mjcollect.course import Course
 from mjcollect.flight import Bools, Slot, World, command, judge
 from mjcollect.geometry import FAR, Array
-from mjcollect.guidance_law import guidance_law
 from mjcollect.observation import OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
@@ -184,11 +183,8 @@ class Episodes:
         return self._observation(self.world.rows(which), state.rows(which))
 
     def guidance_action(self) -> Array:
-        """Actions (N, 3) of the guidance law from here."""
-        approach = self._approach
-        return guidance_law(
-            self.world, self.q, self.v, approach.distance, approach.direction, self._query
-        )
+        """Actions (N, 3) of the guidance law from here, see `kernels.law_row`."""
+        return self._approach.law
 
     def _look(self) -> Approach:
         approach = Approach(
@@ -198,6 +194,8 @@ class Episodes:
             closing=np.empty(self.count),
             returning=np.empty(self.count, dtype=bool),
             ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
+            slack=np.empty(self.count),
+            law=np.empty((self.count, 3)),
         )
         self._look_anew(approach, self._all)
         return approach
@@ -206,7 +204,9 @@ class Episodes:
         """Write the rows `which` of an approach."""
         for target, mine in self._by_target(which):
             kernels.look(
+                self.world,
                 self._guidance[target].way,
+                self._guidance[target].slack,
                 mine,
                 self._goal[target],
                 LOOK_AHEAD,
@@ -217,14 +217,10 @@ class Episodes:
                 approach.direction,
                 approach.closing,
                 approach.ahead,
+                approach.law,
             )
+            approach.slack[mine] = self._guidance[target].slack
             approach.returning[mine] = self._node[target] < 0
-
-    def _query(self, q: Array) -> tuple[Array, Array]:
-        distance, direction = np.empty(self.count), np.empty((self.count, 3))
-        for target, mine in self._by_target(self._all):
-            kernels.query(self._guidance[target].way, mine, q, distance, direction)
-        return distance, direction
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """The episodes `which` in groups with the same current target."""

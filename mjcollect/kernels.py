@@ -28,6 +28,13 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
+WAYPOINT_FAVOUR = 1.0  # metres by which a way over waypoints may be longer than a field's
+ONE_TURN = 30.0  # metres within which corners count as one turn
+CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
+WALL_SHARE = 0.2  # the same towards a bound, at least
+FREE_ROOM = 0.1  # metres beyond the body's radius that the law's straight way keeps from boxes
+BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
+
 
 # Vectors and boxes
 
@@ -253,10 +260,10 @@ def room_to_brake(
 
 
 @compiled
-def sees_aim(way: Way, q: Array, offset: Array) -> bool:
-    """Whether the straight line to the aim, `offset` away, misses every box with room to spare."""
-    for b in range(len(way.keep)):
-        enter, leave = slab(q, offset, way.keep[b], 0.0, 1e-12)
+def in_sight(boxes: Array, q: Array, offset: Array) -> bool:
+    """Whether the straight line to the point `offset` away misses every box (M, 2, 3)."""
+    for b in range(len(boxes)):
+        enter, leave = slab(q, offset, boxes[b], 0.0, 1e-12)
         if enter <= leave and leave >= 0.0 and enter <= 1.0:
             return False
     return True
@@ -300,35 +307,177 @@ def interpolate(way: Way, field: int, q: Array, downhill: Array) -> float:
 
 
 @compiled
-def query_row(way: Way, q: Array, direction: Array) -> float:
-    """See `guidance.Guidance.query`."""
+def unit(vector: Array, to: Array) -> float:
+    """Length of a vector; `to` becomes its direction, or zero."""
+    size = norm(vector)
     for k in range(3):
-        direction[k] = way.aim[k] - q[k]
-    straight = norm(direction)
-    distance = straight
-    if not sees_aim(way, q, direction):
-        for field in range(len(way.first) - 1, -1, -1):  # the finest that is defined here
-            found = interpolate(way, field, q, direction)
-            if math.isfinite(found):
-                break
-        distance = max(found, straight)
-    size = norm(direction)
+        to[k] = vector[k] / size if size > 1e-9 else 0.0
+    return size
+
+
+@compiled
+def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
+    """See `guidance.Guidance.query`; with the index of the waypoint flown to, -1 for none."""
+    offset, chosen, best = np.empty(3), -1, np.inf
+    last = len(way.points) - 1
+    for p in range(last, -1, -1):
+        for k in range(3):
+            offset[k] = way.points[p, k] - q[k]
+        whole = norm(offset) + way.rest[p]
+        if whole < best and in_sight(way.sight[p], q, offset):
+            chosen, best = p, whole
+            unit(offset, direction)
+            if p == last:
+                return best, last
     for k in range(3):
-        direction[k] = direction[k] / size if size > 1e-9 else 0.0
-    return distance
+        offset[k] = way.points[last, k] - q[k]
+    straight = norm(offset)
+    found = np.inf
+    downhill = np.empty(3)
+    for field in range(len(way.first) - 1, -1, -1):  # the finest that is defined here
+        found = interpolate(way, field, q, downhill)
+        if math.isfinite(found):
+            break
+    found = max(found, straight) if math.isfinite(found) else np.inf
+    if chosen >= 0 and best <= found + WAYPOINT_FAVOUR:
+        return best, chosen
+    unit(downhill, direction)
+    return found, -1
 
 
 @compiled
 def query(way: Way, which: Indices, q: Array, distance: Array, direction: Array) -> None:
     """See `guidance.Guidance.query`, for the simulations `which`."""
     for i in which:
-        distance[i] = query_row(way, q[i], direction[i])
+        distance[i], _ = query_row(way, q[i], direction[i])
+
+
+@compiled
+def heading_row(
+    way: Way, slot: float, a_max: float, chosen: int, q: Array, v: Array, heading: Array
+) -> float:
+    """Turn `heading` in time for a corner; the speed in m/s at which those ahead can be flown.
+
+    Turning from direction u into w with a_max takes v |u - w| / a_max seconds and cuts the corner
+    by v^2 |u - w|^2 / (8 a_max) metres if it begins half that time before. See `Waypoints`.
+    """
+    if chosen < 0:
+        return np.inf
+    speed, limit, before = norm(v), np.inf, np.empty(3)
+    gap, bend = np.empty(3), np.empty(3)
+    for k in range(3):
+        gap[k], before[k] = way.points[chosen, k] - q[k], heading[k]
+    ahead = norm(gap)
+    for p in range(chosen, len(way.points) - 1):
+        end, cut = p, way.cut[p]
+        while end < len(way.points) - 2 and way.rest[p] - way.rest[end + 1] < ONE_TURN:
+            end += 1
+            cut = min(cut, way.cut[end])
+        for k in range(3):
+            bend[k] = way.onward[end, k] - before[k]
+            before[k] = way.onward[p, k]
+        turn = max(norm(bend), 1e-6)
+        corner = math.sqrt(8 * cut * a_max) / turn
+        begin = ahead - corner**2 * turn / a_max / 2 - speed * slot / 2
+        soon = ahead <= speed * (speed * turn / a_max + slot) / 2
+        if p == chosen and soon and speed <= 1.3 * corner:
+            for k in range(3):
+                gap[k] = way.points[p + 1, k] - q[k]
+            unit(gap, heading)
+            limit = min(limit, corner)
+        else:
+            limit = min(limit, math.sqrt(corner**2 + 2 * CORNER_BRAKE * a_max * max(begin, 0.0)))
+        ahead += way.rest[p] - way.rest[p + 1]
+    return limit
+
+
+@compiled
+def stopping(brake: float, room: float, speed: float, slot: float) -> float:
+    """Speed at the slot's end from which `brake` m/s^2 still stops within `room` metres.
+
+    Solves w^2 = 2 brake (room - (speed + w) slot / 2) for w: what the slot itself takes is gone.
+    """
+    half = brake * slot / 2
+    return math.sqrt(max(half**2 + 2 * brake * room - 2 * half * speed, 0.0)) - half
+
+
+@compiled
+def free_way(boxes: Array, grow: float, q: Array, direction: Array) -> float:
+    """Metres along `direction` to the first box grown by `grow`; from inside one, it is free."""
+    free = 1e6
+    for b in range(len(boxes)):
+        enter, leave = slab(q, direction, boxes[b], grow, 1e-9)
+        if 0.0 <= enter <= leave:
+            free = min(free, enter)
+    return free
+
+
+@compiled
+def hold_back(world: World, w: int, q: Array, v: Array, wanted: Array) -> None:
+    """Take from a wanted velocity what leads into the nearest box or out of bounds."""
+    boxes, radius, a_max = world.boxes[w], world.radius[w, 0], world.a_max[w, 0]
+    offset, nearest, gap = np.empty(3), np.zeros(3), np.inf
+    for b in range(len(boxes)):
+        this = box_offset(q, boxes[b], offset)
+        if this < gap:
+            gap = this
+            for k in range(3):
+                nearest[k] = offset[k] / max(this, 1e-9)
+    excess = dot(wanted, nearest) - max(gap - radius - BOX_ROOM, 0.0) / world.slot
+    if excess > 0.0:
+        for k in range(3):
+            wanted[k] -= excess * nearest[k]
+    speed = max(norm(v), 1e-9)
+    for k in range(3):
+        # Braking against the velocity, each axis gets its share of a_max.
+        brake = a_max * max(abs(v[k]) / speed, WALL_SHARE)
+        low, high = q[k] - world.bounds[w, 0, k], world.bounds[w, 1, k] - q[k]
+        slowest = -stopping(brake, max(low, 0.0), -v[k], world.slot)
+        fastest = stopping(brake, max(high, 0.0), v[k], world.slot)
+        wanted[k] = min(max(wanted[k], slowest), fastest)
+
+
+@compiled
+def law_row(
+    world: World, w: int, q: Array, v: Array, room: float, heading: Array, corner: float,
+    action: Array,
+) -> None:  # fmt: skip
+    """Action of the guidance law, which learns nothing: `room` metres are left to fly.
+
+    Along `heading` at the greatest speed from which full braking still ends in time, at the aim,
+    at corners and before boxes. The yardstick of what is learned, its prior, and the source of
+    demonstrations.
+    """
+    a_max, slot = world.a_max[w, 0], world.slot
+    closing = dot(v, heading)
+    speed = min(stopping(a_max, room, closing, slot), world.v_max[w, 0], corner)
+    free = free_way(world.boxes[w], world.radius[w, 0] + FREE_ROOM, q, heading)
+    speed = min(speed, stopping(a_max, free, closing, slot))
+    wanted = np.empty(3)
+    for k in range(3):
+        wanted[k] = heading[k] * speed
+    hold_back(world, w, q, v, wanted)
+    # Across the path first: a body that keeps to it may brake late, not the other way round.
+    for k in range(3):
+        wanted[k] = (wanted[k] - v[k]) / slot
+    along = dot(wanted, heading)
+    for k in range(3):
+        wanted[k] -= along * heading[k]
+    into_ball(wanted, a_max)
+    left = math.sqrt(max(a_max**2 - dot(wanted, wanted), 0.0))
+    along = min(max(along, -left), left)
+    for k in range(3):
+        wanted[k] = (wanted[k] + along * heading[k]) / a_max
+    project_row(world, w, v, wanted, action)
+    for k in range(3):
+        action[k] /= a_max
 
 
 @compiled
 def look(
-    way: Way, which: Indices, goal: Array, strides: Array, q: Array, v: Array,
-    offset: Array, distance: Array, direction: Array, closing: Array, ahead: Array,
+    world: World, way: Way, slack: float, which: Indices, goal: Array, strides: Array,
+    q: Array, v: Array,
+    offset: Array, distance: Array, direction: Array, closing: Array, ahead: Array, law: Array,
 ) -> None:  # fmt: skip
     """How the simulations `which` stand towards a goal (3,), see `reward.Approach`.
 
@@ -336,14 +485,20 @@ def look(
     """
     point, towards = np.empty(3), np.empty(3)
     for i in which:
-        left = distance[i] = query_row(way, q[i], direction[i])
+        w = scene_of(world, i)
+        left, chosen = query_row(way, q[i], direction[i])
+        distance[i] = left
         closing[i] = dot(v[i], direction[i])
         for k in range(3):
             offset[i, k] = goal[k] - q[i, k]
             point[k], towards[k] = q[i, k], direction[i, k]
+        corner = heading_row(way, world.slot, world.a_max[w, 0], chosen, q[i], v[i], towards)
+        law_row(world, w, q[i], v[i], max(left - slack, 0.0), towards, corner, law[i])
+        for k in range(3):
+            towards[k] = direction[i, k]
         for a in range(len(strides)):
             if a > 0:
-                left = query_row(way, point, towards)
+                left, _ = query_row(way, point, towards)
             for k in range(3):
                 point[k] += towards[k] * min(strides[a], left)
                 ahead[i, a, k] = point[k] - q[i, k]
@@ -381,7 +536,8 @@ def nearest_boxes(
 @compiled
 def guided(
     world: World, q: Array, v: Array, goal_offset: Array, distance: Array, direction: Array,
-    closing: Array, ahead: Array, nearest: int, reach: float, far: float, out: Array,
+    closing: Array, ahead: Array, slack: Array, law: Array,
+    nearest: int, reach: float, far: float, out: Array,
 ) -> None:  # fmt: skip
     """See `observation.guided`; the parts one after another, in the order of `GUIDED`."""
     gaps, offset = np.empty(nearest), np.empty(3)
@@ -406,13 +562,23 @@ def guided(
             row[at + 6 + k] = math.tanh(goal_offset[i, k] / 12)
         at += 9
         # Along the path, across it, and how much faster than one can still stop.
-        stopping = min(math.sqrt(2 * a_max * distance[i]), v_max)
+        fastest = min(math.sqrt(2 * a_max * distance[i]), v_max)
         row[at] = closing[i] / v_max
         row[at + 1] = math.sqrt(max(dot(v[i], v[i]) - closing[i] ** 2, 0.0)) / v_max
-        row[at + 2] = math.tanh((closing[i] - stopping) / 10)
+        row[at + 2] = math.tanh((closing[i] - fastest) / 10)
         at += 3
+        # Share of a_max that a stop takes at the near and the far end of what will do; and by how
+        # many metres full braking overshoots the near end, begun now or a slot later.
+        braking = max(closing[i], 0.0) ** 2 / (2 * a_max)
+        near, far = max(distance[i] - slack[i], 0.0), distance[i] + slack[i]
+        row[at] = min(braking / max(near, 0.1), 2.0)
+        row[at + 1] = min(braking / max(far, 0.1), 2.0)
+        row[at + 2] = math.tanh((braking - near) / 5)
+        row[at + 3] = math.tanh((braking + max(closing[i], 0.0) * world.slot - near) / 5)
+        at += 4
         nearest_boxes(world.boxes[w], q[i], reach, far, gaps, offset, row[at : at + 3 * nearest])
         at += 3 * nearest
         for k in range(3):
             row[at + k] = math.tanh((q[i, k] - bounds[0, k]) / reach)
             row[at + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / reach)
+            row[at + 6 + k] = law[i, k]

@@ -64,8 +64,10 @@ def guided(world: World, state: State) -> Parts:
         "guide_distance": 3,
         "goal_offset": 9,
         "speeds": 3,
+        "braking": 4,
         "boxes": 3 * NEAREST_BOXES,
         "walls": 6,
+        "guide_action": 3,
     }
     flat = np.empty((len(state.q), sum(widths.values())))
     kernels.guided(
@@ -77,6 +79,8 @@ def guided(world: World, state: State) -> Parts:
         approach.direction,
         approach.closing,
         approach.ahead,
+        approach.slack,
+        approach.law,
         NEAREST_BOXES,
         REACH,
         FAR,

@@ -19,29 +19,29 @@ TIME_CAP = 60.0  # seconds; the time to go in the potential saturates here
 R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # paper, section V-A
 
 
-def time_to_go(world: World, distance: Array, closing: Array) -> Array:
-    """Least time in s to come to rest after `distance` metres along a line, under both limits.
+def time_to_go(world: World, distance: Array, closing: Array, slack: Array | float = 0.0) -> Array:
+    """Least time in s to come to rest along a line, under both limits.
 
     Args:
-        distance: (N,) >= 0. closing: (N,) speed along the line in m/s, negative when receding.
+        distance: (N,) >= 0, to the point to rest at. closing: (N,) speed along the line in m/s,
+            negative when receding. slack: (N,) metres before and after the point that do as well.
 
     Returns:
         (N,) seconds, capped at 60.
     """
     a, top = world.a_max[..., 0], world.v_max[..., 0]
     away = np.minimum(closing, 0.0)  # first brake the receding motion
-    time = -away / a
     distance = distance + away**2 / (2 * a)
     speed = np.minimum(np.maximum(closing, 0.0), top)
     braking = speed**2 / (2 * a)
-    over = braking > distance  # too fast to stop in time: brake, then come back
-    time = time + np.where(over, speed / a, 0.0)
-    distance = np.where(over, braking - distance, distance)
-    speed = np.where(over, 0.0, speed)
-    peak = np.sqrt(a * distance + speed**2 / 2)
-    cruise = np.maximum(distance - (2 * top**2 - speed**2) / (2 * a), 0.0) / top
-    time = time + (2 * np.minimum(peak, top) - speed) / a + cruise
-    return np.minimum(time, TIME_CAP)
+    near, far = np.maximum(distance - slack, 0.0), distance + slack
+    # Too fast to stop before the far end: brake, then come back.
+    back = 2 * np.sqrt(np.maximum(braking - far, 0.0) / a)
+    peak = np.sqrt(a * near + speed**2 / 2)
+    cruise = np.maximum(near - (2 * top**2 - speed**2) / (2 * a), 0.0) / top
+    go = (2 * np.minimum(peak, top) - speed) / a + cruise
+    time = np.where(braking >= near, speed / a + back, go) - away / a
+    return np.asarray(np.minimum(time, TIME_CAP))
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,8 @@ class Approach:
         direction: (N, 3) unit vectors of that path. closing: (N,) speed along it.
         returning: (N,) whether the target is the depot.
         ahead: (N, A, 3) from the body to points farther along the path.
+        slack: (N,) metres by which a stop may miss the end of the path, along it.
+        law: (N, 3) actions of the guidance law.
     """
 
     offset: Array
@@ -61,11 +63,14 @@ class Approach:
     closing: Array
     returning: Bools
     ahead: Array
+    slack: Array
+    law: Array
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:
     """Minus the discounted time to go (N,): the return of flying on and arriving on time."""
-    slots = time_to_go(world, approach.distance, approach.closing) / world.slot
+    time = time_to_go(world, approach.distance, approach.closing, approach.slack)
+    slots = time / world.slot
     return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
 
 

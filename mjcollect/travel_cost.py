@@ -7,7 +7,8 @@ import numpy as np
 from mjcollect.bounds import leg_time
 from mjcollect.distance_field import DistanceField
 from mjcollect.geometry import Array, segment_clear
-from mjcollect.guidance import COARSE, Guidance, feasible_aim, path_length, way_down
+from mjcollect.guidance import COARSE, Guidance, feasible_aim
+from mjcollect.paths import path_length, tighten, way_down
 from mjcollect.scene import Scene
 from mjcollect.tour import distances
 
@@ -36,7 +37,10 @@ def travel_times(scene: Scene) -> Array:
             if field.entry(points[frm]) is None:
                 way = Guidance(scene, nodes[to], points[frm]).length
             else:
-                way = path_length(way_down(field, scene, points[frm], aim))
+                tight = tighten(
+                    way_down(field, scene, points[frm], aim), scene.obstacles, scene.uav_radius
+                )
+                way = path_length(tight)
             length[frm, to] = length[to, frm] = way
     taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])
     free = np.maximum(length - taken[:, None] - taken[None], 0.0)

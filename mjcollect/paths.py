@@ -1,0 +1,95 @@
+"""Paths round boxes: down a distance field, then pulled tight."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from mjcollect.distance_field import DistanceField
+from mjcollect.geometry import Array, point_box_distance, segment_clear
+from mjcollect.scene import Scene
+
+ROOM = 2.5  # metres beyond the body's radius that ways keep from boxes where there is room
+
+
+class NoWay(ValueError):
+    """A field does not join two points."""
+
+
+def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Array:
+    """A free path (P, 3) from `start` down a field to its aim, both (3,), node by node.
+
+    The last piece is straight, with ROOM beside it unless the aim itself has less.
+
+    Raises:
+        NoWay: the field does not join them.
+    """
+    radius, boxes = scene.uav_radius, scene.obstacles
+    beside = point_box_distance(aim[None], boxes).min() - radius if len(boxes) else ROOM
+    room = radius + min(1.01 * ROOM, max(0.9 * beside, 0.0))
+    points, node = [start], field.entry(start)
+    while not segment_clear(points[-1], aim, boxes, room):
+        if node is None:
+            if segment_clear(points[-1], aim, boxes, radius):
+                break
+            raise NoWay(f"no way down from {points[-1].tolist()} to {aim.tolist()}")
+        points.append(field.points(np.array(node)))
+        node = field.descend(node)
+    return np.array([*points, aim])
+
+
+def path_length(points: Array) -> float:
+    """Length in metres of a polyline (P, 3)."""
+    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Array:
+    """Shorten a free polyline (P, 3) while it keeps `radius` from every box. (P', 3).
+
+    Pieces that come closer than that stay as they are.
+    """
+    points = _skip(points, boxes, radius)
+    if len(points) == 2:
+        return points
+    # Split the pieces so that corners can slide along edges, then pull every inner point towards
+    # the line through its neighbours as far as both pieces stay clear.
+    points = _split(points)
+    for _ in range(rounds):
+        before = points.copy()
+        for i in range(1, len(points) - 1):
+            points[i] = _pulled(points[i - 1], points[i], points[i + 1], boxes, radius)
+        if np.max(np.abs(points - before)) < 1e-3:
+            break
+    return _skip(points, boxes, radius)
+
+
+def _skip(points: Array, boxes: Array, radius: float) -> Array:
+    """Drop the points between each kept one and the farthest that it sees."""
+    kept = [0]
+    while kept[-1] < len(points) - 1:
+        ahead = np.arange(kept[-1] + 1, len(points))
+        clear = segment_clear(points[kept[-1]], points[ahead], boxes, radius)
+        clear[0] = True
+        kept.append(int(ahead[np.flatnonzero(clear)[-1]]))
+    return points[kept]
+
+
+def _split(points: Array) -> Array:
+    parts = [points[:1]]
+    for a, b in itertools.pairwise(points):
+        share = np.linspace(0.0, 1.0, 3)[1:, None]
+        parts.append(a + share * (b - a))
+    return np.concatenate(parts)
+
+
+def _pulled(before: Array, point: Array, after: Array, boxes: Array, radius: float) -> Array:
+    chord = after - before
+    share = np.clip(np.dot(point - before, chord) / max(np.dot(chord, chord), 1e-12), 0.0, 1.0)
+    foot = before + share * chord
+    steps = np.linspace(1.0, 0.0, 17)[:, None]
+    candidates = point + steps * (foot - point)
+    clear = segment_clear(before, candidates, boxes, radius)
+    clear &= segment_clear(candidates, after, boxes, radius)
+    clear[-1] = True
+    return np.asarray(candidates[int(np.argmax(clear))])
