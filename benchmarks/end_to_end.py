@@ -173,6 +173,15 @@ def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int, cou
             scale = rng.choice(scales)
 
 
+def warm_up(course: Course, config: LearnConfig) -> None:
+    """Let numba compile, or load, what both sides use before any clock runs."""
+    trainer = Trainer(course, config, seed=0)
+    next(iter(trainer.run()))
+    trainer.close()
+    env = FlightGym(course, config, seed=0)
+    env.step(env.guidance_action())
+
+
 def race(sides: dict[str, Iterator[dict[str, float]]]) -> dict[str, dict[str, Any]]:
     """Run the sides in turn from evaluation to evaluation, each until all its starts arrive."""
     logs: dict[str, list[dict[str, float]]] = {name: [] for name in sides}
@@ -215,6 +224,7 @@ def main(args: Args) -> None:
     order = plan_order(scene, "lkh")
     course = Course.segment(scene, order, first_blocked(scene, order))
     config = LearnConfig(threads=args.threads)
+    warm_up(course, config)
     results = []
     for seed in args.seeds:
         results.append(
