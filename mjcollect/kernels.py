@@ -570,11 +570,11 @@ def guided(
         # Share of a_max that a stop takes at the near and the far end of what will do; and by how
         # many metres full braking overshoots the near end, begun now or a slot later.
         braking = max(closing[i], 0.0) ** 2 / (2 * a_max)
-        near, far = max(distance[i] - slack[i], 0.0), distance[i] + slack[i]
-        row[at] = min(braking / max(near, 0.1), 2.0)
-        row[at + 1] = min(braking / max(far, 0.1), 2.0)
-        row[at + 2] = math.tanh((braking - near) / 5)
-        row[at + 3] = math.tanh((braking + max(closing[i], 0.0) * world.slot - near) / 5)
+        first, last = max(distance[i] - slack[i], 0.0), distance[i] + slack[i]
+        row[at] = min(braking / max(first, 0.1), 2.0)
+        row[at + 1] = min(braking / max(last, 0.1), 2.0)
+        row[at + 2] = math.tanh((braking - first) / 5)
+        row[at + 3] = math.tanh((braking + max(closing[i], 0.0) * world.slot - first) / 5)
         at += 4
         nearest_boxes(world.boxes[w], q[i], reach, far, gaps, offset, row[at : at + 3 * nearest])
         at += 3 * nearest
