@@ -28,8 +28,31 @@ KEYS = (
 )
 
 
-def make_actor(observation_size: int, width: int) -> TensorDictSequential:
-    """Policy pi(S; theta): observation (..., D) -> action (..., 3) in [-1, 1], 1 = a_max."""
+class AddPrior(nn.Module):
+    """The action of a prior, the last three of an observation, plus a scaled correction.
+
+    A residual policy (Silver et al. 2018, Johannink et al. 2019): what is learned is what the
+    guidance law leaves to be gained. The sum may leave [-1, 1]; the environment projects it.
+    """
+
+    scale: torch.Tensor
+
+    def __init__(self, scale: float) -> None:
+        """Prepare for corrections of at most `scale` along an axis."""
+        super().__init__()
+        self.register_buffer("scale", torch.tensor(scale))
+
+    def forward(self, observation: torch.Tensor, correction: torch.Tensor) -> torch.Tensor:
+        """Action (..., 3) for an observation (..., D) and a correction (..., 3) in [-1, 1]."""
+        return observation[..., -3:] + self.scale * correction
+
+
+def make_actor(observation_size: int, width: int, residual: float = 0.0) -> TensorDictSequential:
+    """Policy pi(S; theta): observation (..., D) -> action (..., 3), 1 = a_max.
+
+    With `residual` > 0 a correction of at most that, zero at first, of the action that the
+    observation ends with; else an action in [-1, 1].
+    """
     net = MLP(
         in_features=observation_size,
         out_features=3,
@@ -38,10 +61,14 @@ def make_actor(observation_size: int, width: int) -> TensorDictSequential:
         norm_class=nn.LayerNorm,
         norm_kwargs=[{"normalized_shape": width}] * 2,
     )
-    shrink_last(net)
+    shrink_last(net, 0.0 if residual else 0.1)
+    made = TensorDictModule(net, in_keys=["observation"], out_keys=["param"])
+    if not residual:
+        return TensorDictSequential(made, TanhModule(in_keys=["param"], out_keys=["action"]))
     return TensorDictSequential(
-        TensorDictModule(net, in_keys=["observation"], out_keys=["param"]),
-        TanhModule(in_keys=["param"], out_keys=["action"]),
+        made,
+        TanhModule(in_keys=["param"], out_keys=["correction"]),
+        TensorDictModule(AddPrior(residual), ["observation", "correction"], ["action"]),
     )
 
 
@@ -59,11 +86,11 @@ def make_critic(observation_size: int, width: int) -> ValueOperator:
     return ValueOperator(net, in_keys=["observation", "action"])
 
 
-def shrink_last(net: nn.Sequential) -> None:
+def shrink_last(net: nn.Sequential, share: float = 0.1) -> None:
     """Small last layer, so that actions and values start near zero (Lillicrap et al., sec. 7)."""
     last = [layer for layer in net if isinstance(layer, nn.Linear)][-1]
     with torch.no_grad():
-        last.weight.mul_(0.1)
+        last.weight.mul_(share)
         last.bias.zero_()
 
 
@@ -87,11 +114,14 @@ class BaseLearner:
         final_rate: float,
         total_updates: int,
         average_rate: float = 0.002,
+        residual: float = 0.0,
+        actor_delay: int = 0,
         device: str = "cpu",
     ) -> None:
         """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs."""
         self.device = device
-        self.actor = make_actor(observation_size, width).to(device)
+        self.residual, self._delay = residual, actor_delay
+        self.actor = make_actor(observation_size, width, residual).to(device)
         self.critic = make_critic(observation_size, width).to(device)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.gamma, self.alpha_target, self.average_rate = gamma, alpha_target, average_rate
@@ -104,7 +134,7 @@ class BaseLearner:
         """Learning rates of critic and actor at the next update."""
         share = min(self.updates / max(self._total, 1), 1.0)
         factor = 1.0 + (self._final_rate - 1.0) * share
-        return self._rates[0] * factor, self._rates[1] * factor
+        return self._rates[0] * factor, self._rates[1] * factor * (self.updates >= self._delay)
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""

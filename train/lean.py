@@ -161,11 +161,12 @@ class LeanLearner(BaseLearner):
     ) -> tuple[Tensor, Tensor]:
         """Write both gradients, at the same parameters; the two losses."""
         n = len(s)
-        a_next = forward(self._target_actor, s_next)[0].tanh_()
+        a_next = self._add_prior(s_next, forward(self._target_actor, s_next)[0].tanh_())
         q_next = forward(self._target_critic, torch.cat([s_next, a_next], 1))[0]
         u = torch.addcmul(r, discount, q_next)
-        action, actor_records = forward(self._actor, s)
-        action.tanh_()
+        output, actor_records = forward(self._actor, s)
+        output.tanh_()
+        action = self._add_prior(s, output)
         # One pass of the critic for both losses: q(S, A) in the first n rows, q(S, pi(S)) below.
         both = torch.cat([torch.cat([s, a], 1), torch.cat([s, action], 1)])
         q, critic_records = forward(self._critic, both)
@@ -173,9 +174,15 @@ class LeanLearner(BaseLearner):
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        d = d_action * (1 - action * action)  # derivative of tanh
+        d = d_action * (1 - output * output)  # derivative of tanh
+        if self.residual:
+            d *= self.residual
         backward(self._actor, self._gradients[1], actor_records, d, n)
         return error.square().mean(), -q[n:].mean()
+
+    def _add_prior(self, s: Tensor, output: Tensor) -> Tensor:
+        """As `ddpg.AddPrior`, where there is one."""
+        return s[:, -3:] + self.residual * output if self.residual else output
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, targets, average, optimiser and the number of updates."""

@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -16,7 +16,9 @@ from tensordict import TensorDict, TensorDictBase
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
-from train.ddpg import Learner, make_buffer, transitions
+from mjcollect.reward import time_to_go
+from train.ddpg import make_buffer, transitions
+from train.lean import LEARNERS
 from train.policies import TrainedPolicy
 
 
@@ -24,8 +26,12 @@ from train.policies import TrainedPolicy
 class LearnConfig:
     """Settings of the learner. Budgets count updates and environment steps, never seconds."""
 
-    updates: int = 10_000
+    updates: int = 6_000
     """Parameter updates in all (the paper's M episodes of P steps with U_2 updates each)."""
+    least_updates: int = 1_000
+    """Updates after which training may stop early, see `gap`."""
+    gap: float = 0.1
+    """Seconds: stop when arriving from everywhere within this of the least time, on average."""
     extra_updates: int = 10_000
     """Further updates, at most, if by then no evaluated policy has arrived from every start."""
     envs: int = 64
@@ -40,6 +46,12 @@ class LearnConfig:
     """Capacity of the experience replay buffer D, in transitions."""
     width: int = 128
     """Width of the two hidden layers of actor and critic."""
+    learner: Literal["lean", "torchrl"] = "lean"
+    """How updates are computed: hand-written gradients, or TorchRL's DDPGLoss; same numbers."""
+    residual: float = 1.0
+    """Greatest correction of the guidance law that the policy learns; 0: actions of its own."""
+    actor_delay: int = 300
+    """Updates of the critic alone before the actor's begin."""
     gamma: float = 0.99
     """Discount factor per slot."""
     alpha_actor: float = 1e-3
@@ -52,7 +64,7 @@ class LearnConfig:
     """Share of the learning rates left at the end, reached linearly."""
     noise_min: float = 0.02
     """Standard deviation of the Gaussian action noise in the calmest simulation (1 = a_max)."""
-    noise_max: float = 0.4
+    noise_max: float = 0.2
     """The same in the wildest; the others lie between."""
     demonstrations: int = 10_000
     """Transitions of the guidance law, with noise, that start the buffer; 0 for none."""
@@ -81,13 +93,20 @@ class LearnConfig:
         for field in (*counts, "eval_every", "eval_episodes"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be at least 1")
-        for field in ("extra_updates", "demonstrations"):
+        for field in ("extra_updates", "least_updates", "actor_delay", "demonstrations"):
             if getattr(self, field) < 0:
                 raise ValueError(f"{field}: {getattr(self, field)}: must not be negative")
         for field in ("alpha_actor", "alpha_critic"):
             if not 0.0 < getattr(self, field) < math.inf:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be a positive number")
-        for field in ("alpha_target", "final_rate", "guided_share", "guided_until"):
+        if not 0.0 <= self.gap < math.inf:
+            raise ValueError(f"gap: {self.gap}: must be a number of seconds from 0 on")
+        if self.residual and self.observation != "guided":
+            raise ValueError(
+                f"residual: {self.residual}: corrects the guidance law, which only the guided "
+                f"observation shows; with --observation {self.observation} set it to 0"
+            )
+        for field in ("alpha_target", "final_rate", "guided_share", "guided_until", "residual"):
             if not 0.0 <= getattr(self, field) <= 1.0:
                 raise ValueError(f"{field}: {getattr(self, field)}: must lie between 0 and 1")
         if self.buffer < max(self.batch, self.envs, self.demonstrations):
@@ -142,6 +161,7 @@ class Evaluator:
 
     def __init__(self, course: Course, config: LearnConfig, seed: int) -> None:
         """Draw the starts from the stream `evaluate`."""
+        self._course = course
         rng = np.random.default_rng(stream(seed, "evaluate"))
         rules = Rules(config.observation, config.reward, config.gamma)
         self.sims = Simulations([course], config.eval_episodes, rules=rules, threads=config.threads)
@@ -149,6 +169,16 @@ class Evaluator:
         ball = course.starts("ball", config.eval_episodes - 1, rng)
         self._q = np.concatenate([point[0], ball[0]])
         self._v = np.concatenate([point[1], ball[1]])
+        self.least = self._least_time()
+
+    def _least_time(self) -> float:
+        """Estimate of the least mean time in s, in whole slots, along the shortest paths."""
+        world, guide = self.sims.episodes.world, self._course.guidance[0]
+        distance, _ = guide.query(self._q)
+        beside = float(np.linalg.norm(guide.aim - guide.goal))
+        distance = np.maximum(distance - max(guide.tolerance - beside, 0.0), 0.0)
+        time = time_to_go(world, distance, np.zeros(len(distance)))
+        return float(np.mean(np.ceil(time / world.slot - 1e-6) * world.slot))
 
     def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
         """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""
@@ -201,7 +231,7 @@ class Trainer:
         )
         self.env = BatchedFlightEnv(sims, device=device)
         size = self.env.observation_spec["observation"].shape[-1]
-        self.learner = Learner(
+        self.learner = LEARNERS[config.learner](
             size,
             width=config.width,
             gamma=config.gamma,
@@ -210,6 +240,8 @@ class Trainer:
             alpha_target=config.alpha_target,
             final_rate=config.final_rate,
             total_updates=config.updates,
+            residual=config.residual,
+            actor_delay=config.actor_delay,
             device=device,
         )
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
@@ -226,7 +258,7 @@ class Trainer:
         self.seconds = 0.0
         self._returns = torch.zeros(config.envs, 1)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
-        self._losses: list[tuple[torch.Tensor, torch.Tensor]] = []
+        self._losses: list[torch.Tensor] = []
         self._now = self.env.reset()
 
     def run(self) -> Iterator[int]:
@@ -234,14 +266,15 @@ class Trainer:
         config = self.config
         while len(self.buffer) < max(config.demonstrations, config.batch):
             self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
+        if not self.rows:
+            self._evaluate()  # of what nothing has been learned for yet
         while not self.finished:
             for _ in range(config.u1):
                 early = self.learner.updates < config.guided_until * config.updates
                 self._operate(guided=self._guided & early)
             before = self.learner.updates // config.eval_every
-            for _ in range(min(config.u2, self.budget - self.learner.updates)):
-                batch = self.buffer.sample().to(self.device)
-                self._losses.append(self.learner.update(batch))
+            count = min(config.u2, self.budget - self.learner.updates)
+            self._losses.append(self.learner.learn(self.buffer, count))
             if self.learner.updates // config.eval_every > before or self._spent:
                 self._evaluate()
             self.finished = self._spent
@@ -249,10 +282,11 @@ class Trainer:
 
     @property
     def budget(self) -> int:
-        """Updates in all; longer while no evaluated policy has arrived from every start."""
-        config = self.config
-        good = self.best is not None and self.best.success_rate == 1.0
-        if good and self.learner.updates >= config.updates:
+        """Updates in all; fewer if there is nothing to gain, more while not every start arrives."""
+        config, best = self.config, self.best
+        good = best is not None and best.success_rate == 1.0
+        done = good and best is not None and best.mean_time <= self.evaluator.least + config.gap
+        if good and self.learner.updates >= (config.least_updates if done else config.updates):
             return self.learner.updates
         return config.updates + (0 if good else config.extra_updates)
 
@@ -290,17 +324,19 @@ class Trainer:
         return TrainedPolicy(self.learner.actor, self.config.observation)
 
     def _evaluate(self) -> None:
-        result = self.evaluator(self.policy)
+        """Fly the actor and the average of past actors; keep the better if it is the best yet."""
+        tried = [
+            (self.evaluator(TrainedPolicy(actor, self.config.observation)), actor)
+            for actor in (self.learner.actor, self.learner.averaged)
+        ]
+        result, actor = max(tried, key=lambda pair: pair[0].rank)
         if self.best is None or result.rank > self.best.rank:
             self.best = result
             self.best_policy = {
-                name: value.detach().cpu().clone()
-                for name, value in self.learner.actor.state_dict().items()
+                name: value.detach().cpu().clone() for name, value in actor.state_dict().items()
             }
-        critic, actor = (
-            (float(torch.stack(losses).mean()) for losses in zip(*self._losses, strict=True))
-            if self._losses
-            else (math.nan, math.nan)
+        critic_loss, actor_loss = (
+            torch.cat(self._losses).mean(dim=0).tolist() if self._losses else (math.nan, math.nan)
         )
         self._losses.clear()
         returns, successes, crashes = (
@@ -316,8 +352,8 @@ class Trainer:
                 "episode_return": returns,
                 "success_rate": successes,
                 "crash_rate": crashes,
-                "critic_loss": critic,
-                "actor_loss": actor,
+                "critic_loss": critic_loss,
+                "actor_loss": actor_loss,
                 "eval_return": result.mean_return,
                 "eval_success_rate": result.success_rate,
                 "eval_time": result.point_time,
@@ -330,10 +366,7 @@ class Trainer:
         """Everything but the buffer's content and the settings."""
         episodes = self.env.simulations.episodes
         return {
-            "networks": self.learner.loss.state_dict(),
-            "actor_optimizer": self.learner.actor_optimizer.state_dict(),
-            "critic_optimizer": self.learner.critic_optimizer.state_dict(),
-            "updates": self.learner.updates,
+            "learner": self.learner.state_dict(),
             "env_steps": self.env_steps,
             "episodes": self.episodes,
             "noise": self.noise.get_state(),
@@ -346,7 +379,7 @@ class Trainer:
             "now": self._now.to_dict(),
             "returns": self._returns.clone(),
             "recent": list(self._recent),
-            "losses": [tuple(pair) for pair in self._losses],
+            "losses": list(self._losses),
             "rows": list(self.rows),
             "best": None if self.best is None else dataclasses.asdict(self.best),
             "best_policy": self.best_policy,
@@ -356,10 +389,7 @@ class Trainer:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go back to a state of `state_dict`."""
-        self.learner.loss.load_state_dict(state["networks"])
-        self.learner.actor_optimizer.load_state_dict(state["actor_optimizer"])
-        self.learner.critic_optimizer.load_state_dict(state["critic_optimizer"])
-        self.learner.updates = state["updates"]
+        self.learner.load_state_dict(state["learner"])
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self.noise.set_state(state["noise"])
         sims = self.env.simulations
@@ -372,7 +402,7 @@ class Trainer:
         self._returns = state["returns"].clone()
         self._recent.clear()
         self._recent.extend(tuple(entry) for entry in state["recent"])
-        self._losses = [tuple(pair) for pair in state["losses"]]
+        self._losses = list(state["losses"])
         self.rows = list(state["rows"])
         self.best = None if state["best"] is None else Evaluation(**state["best"])
         self.best_policy = state["best_policy"]

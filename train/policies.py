@@ -56,6 +56,8 @@ class TrainedPolicy:
         """Read policy.pt."""
         saved = torch.load(path, weights_only=True, map_location="cpu")
         first = next(value for name, value in saved["actor"].items() if name.endswith("0.weight"))
-        actor = make_actor(first.shape[1], first.shape[0])
+        scale = [value for name, value in saved["actor"].items() if name.endswith("scale")]
+        residual = float(scale[0]) if scale else 0.0
+        actor = make_actor(first.shape[1], first.shape[0], residual)
         actor.load_state_dict(saved["actor"])
         return cls(actor, saved["observation"])
