@@ -21,7 +21,11 @@ from mjcollect.paths import NoWay, path_length, tighten, way_down
 from mjcollect.scene import Scene
 from mjcollect.waypoints import Waypoints
 
-COARSE, FINE = 100, 200  # cells along the longest axis: 10 m and 5 m in a 1 km cube
+# Cells along the longest axis: 20 m, 10 m and 5 m in a 1 km cube.
+WIDE, COARSE, FINE = 50, 100, 200
+# Metres by which ways through the coarse field may be longer than the wide one: at least, as a
+# share of the bounds' longest side, and as a share of the way.
+COARSE_SLACK_SHARE, COARSE_SLACK_OF_WAY = 0.1, 0.3
 # Metres by which ways through the finer field may be longer than the coarse one: at most, and as a
 # share of the bounds' longest side.
 FINE_SLACK, FINE_SLACK_SHARE = 60.0, 0.06
@@ -82,7 +86,7 @@ class Guidance:
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
         self.aim = choose_aim(scene, self.goal, self.tolerance, start, beyond)
         self.slack = SLACK_SHARE * (self.tolerance - float(np.linalg.norm(self.aim - self.goal)))
-        fields = [DistanceField(scene, self.aim, COARSE)]  # finest last
+        fields = self._coarse_fields(start)  # finest last
         self.path, ways = self._find_path(start, fields)
         self.way = Way(
             **Waypoints.of(scene, self.path, ways)._asdict(),
@@ -93,6 +97,18 @@ class Guidance:
             values=np.concatenate([field.filled.reshape(-1) for field in fields]),
         )
 
+    def _coarse_fields(self, start: Array) -> list[DistanceField]:
+        """Wide cells everywhere and coarse ones where a way can lead, or coarse ones everywhere."""
+        scene, wide = self.scene, DistanceField(self.scene, self.aim, WIDE)
+        if wide.entry(start) is not None:
+            length = path_length(self._tight(self._way_down(wide, start)))
+            longest = float(np.ptp(scene.bounds, axis=0).max())
+            slack = max(COARSE_SLACK_SHARE * longest, COARSE_SLACK_OF_WAY * length)
+            coarse = DistanceField(scene, self.aim, COARSE, (start, length + slack))
+            if coarse.entry(start) is not None:
+                return [wide, coarse]
+        return [DistanceField(scene, self.aim, COARSE)]
+
     def _find_path(self, start: Array, fields: list[DistanceField]) -> tuple[Array, list[Array]]:
         """The shortest tight free path found, and the ways that were tightened.
 
@@ -100,8 +116,8 @@ class Guidance:
         """
         scene, within = self.scene, None
         ways: list[Array] = []
-        if fields[0].entry(start) is not None:
-            ways.append(self._way_down(fields[0], start))
+        if fields[-1].entry(start) is not None:
+            ways.append(self._way_down(fields[-1], start))
             if len(ways[0]) == 2:
                 return ways[0], ways
             slack = min(FINE_SLACK, FINE_SLACK_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
