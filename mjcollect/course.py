@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from mjcollect import kernels
+from mjcollect import guidance_file, kernels
 from mjcollect.bounds import detour_bound
 from mjcollect.compiled import plain
 from mjcollect.geometry import Array
@@ -35,6 +36,7 @@ class Course:
         nodes: start node, then the targets in turn; item index, or -1 for the depot.
         before: items collected before the course begins.
         beyond: the node that the tour goes on to afterwards, if it does.
+        folder: where `save_guidance` of the same course has put files, if it has.
         guidance: one per target, from the node before.
         step_limit: slots after which an episode is cut off (P).
     """
@@ -43,6 +45,7 @@ class Course:
     nodes: tuple[int, ...]
     before: tuple[int, ...] = ()
     beyond: int | None = None
+    folder: Path | None = None
     guidance: tuple[Guidance, ...] = field(init=False)
     step_limit: int = field(init=False)
 
@@ -55,13 +58,7 @@ class Course:
         ways = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
         nexts = [*self.nodes[2:], self.beyond]
         fields = [
-            Guidance(
-                self.scene,
-                to,
-                self.scene.point(frm),
-                None if after is None else self.scene.point(after),
-            )
-            for (frm, to), after in zip(ways, nexts, strict=True)
+            self._guidance(frm, to, after) for (frm, to), after in zip(ways, nexts, strict=True)
         ]
         time = sum(
             detour_bound(self.scene, frm, to, field.length)
@@ -71,9 +68,26 @@ class Course:
         limit = max(MIN_SLOTS, int(np.ceil(LIMIT_FACTOR * time / self.scene.slot)))
         object.__setattr__(self, "step_limit", limit)
 
+    def _guidance(self, frm: int, to: int, after: int | None) -> Guidance:
+        beyond = None if after is None else self.scene.point(after)
+        leg = self.scene, to, self.scene.point(frm), beyond
+        saved = None if self.folder is None else guidance_file.load(self.folder, *leg)
+        return Guidance(*leg) if saved is None else saved
+
+    def save_guidance(self, folder: Path) -> None:
+        """Write the guidance into files in `folder`, for a course of the same legs to load.
+
+        Raises:
+            OSError: they cannot be written.
+        """
+        for guide in self.guidance:
+            guidance_file.save(guide, folder)
+
     @classmethod
-    def segment(cls, scene: Scene, order: tuple[int, ...], index: int) -> Course:
-        """Segment `index` of a tour, 0..K.
+    def segment(
+        cls, scene: Scene, order: tuple[int, ...], index: int, folder: Path | None = None
+    ) -> Course:
+        """Segment `index` of a tour, 0..K; `folder` as above.
 
         Raises:
             ValueError: there is no such segment.
@@ -85,12 +99,12 @@ class Course:
             )
         all_legs = legs(order)
         beyond = all_legs[index + 1][1] if index + 1 < len(all_legs) else None
-        return cls(scene, all_legs[index], before=tuple(order[:index]), beyond=beyond)
+        return cls(scene, all_legs[index], tuple(order[:index]), beyond, folder)
 
     @classmethod
-    def mission(cls, scene: Scene, order: tuple[int, ...]) -> Course:
-        """The whole tour from depot to depot."""
-        return cls(scene, (-1, *order, -1))
+    def mission(cls, scene: Scene, order: tuple[int, ...], folder: Path | None = None) -> Course:
+        """The whole tour from depot to depot; `folder` as above."""
+        return cls(scene, (-1, *order, -1), folder=folder)
 
     def starts(self, kind: StartKind, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Start positions and velocities, each (count, 3), in bounds and clear of boxes.

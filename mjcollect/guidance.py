@@ -71,21 +71,32 @@ class Guidance:
         way: what distance and direction are read from.
     """
 
-    def __init__(self, scene: Scene, node: int, start: Array, beyond: Array | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        node: int,
+        start: Array,
+        beyond: Array | None = None,
+        built: tuple[Array, Way] | None = None,
+    ) -> None:
         """Build the fields.
 
         Args:
             scene: the scene. node: item index, or -1 for the depot.
             start: (3,) where the way begins; the finer field is made for it.
             beyond: (3,) where the tour goes on to, if it does.
+            built: `path` and `way` of the same guidance, from `guidance_file`.
 
         Raises:
             GuidanceError: `start` and the goal are not connected on the finest grid.
         """
-        self.scene, self.node, self.start = scene, node, start
+        self.scene, self.node, self.start, self.beyond = scene, node, start, beyond
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
         self.aim = choose_aim(scene, self.goal, self.tolerance, start, beyond)
         self.slack = SLACK_SHARE * (self.tolerance - float(np.linalg.norm(self.aim - self.goal)))
+        if built is not None:
+            self.path, self.way = built
+            return
         fields = self._coarse_fields(start)  # finest last
         self.path, ways = self._find_path(start, fields)
         self.way = Way(
