@@ -48,7 +48,7 @@ class LearnConfig:
     """Width of the two hidden layers of actor and critic."""
     learner: Literal["lean", "torchrl"] = "lean"
     """How updates are computed: hand-written gradients, or TorchRL's DDPGLoss; same numbers."""
-    residual: float = 1.0
+    residual: float = 0.7
     """Greatest correction of the guidance law that the policy learns; 0: actions of its own."""
     actor_delay: int = 300
     """Updates of the critic alone before the actor's begin."""
@@ -76,8 +76,8 @@ class LearnConfig:
     """Updates between evaluations without noise."""
     eval_episodes: int = 32
     """Starts of an evaluation: the segment's own point, then seeded ones all over its ball."""
-    threads: int = 2
-    """MuJoCo's threads."""
+    threads: int = 1
+    """MuJoCo's threads; the results do not depend on them."""
     observation: str = "guided"
     """Observation: guided or paper."""
     reward: str = "time"

@@ -1,16 +1,22 @@
-"""Flies planners without training over generated scenes: mission time, ratio, success, contacts.
+"""Missions over generated scenes: learned policies, MPC and guidance law, side by side.
 
-    python -m benchmarks.peers --floating 20 --city 10 --out docs/results/peers.json
+    python -m benchmarks.missions --floating 20 --city 10 --out docs/results/missions.json
 
-Results are saved after every mission; what the file already holds is not flown again.
+Learns each mission from scratch (`train.mission --no-video`) and flies its peers over the same
+scene in the same order. Results are saved after every mission; what the file already holds is not
+flown again.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,12 +49,16 @@ class Args:
     """Generated scenes of grounded boxes."""
     items: int = 8
     """Items in each."""
-    first_seed: int = 3000
+    first_seed: int = 5000
     """Scene seeds count up from here."""
     order: str = "lkh"
     """Visiting order: lkh, exact, random or given."""
-    planners: tuple[str, ...] = ("mpc", "guidance")
-    """Which planners fly: mpc, guidance."""
+    planners: tuple[str, ...] = ("policy", "mpc", "guidance")
+    """Which planners fly: policy, mpc, guidance."""
+    workers: int = 2
+    """Processes that train a mission's segments side by side."""
+    seed: int = 0
+    """Seed of the training."""
     out: Path | None = None
     """JSON file for the results, and to go on from."""
 
@@ -66,6 +76,43 @@ def fly_mpc(course: Course) -> tuple[Flight, Row]:
     flight = record(course, lambda _, task: decide(task))
     more = {"counts": dict(mpc.counts), "solver": dict(mpc.statuses)}
     return flight, more | {"decision_ms": statistics.median(milliseconds)}
+
+
+def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
+    """The result of `train.mission` as a program of its own, its memory and training times."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, out = Path(folder) / "scene.json", Path(folder) / "run"
+        scene.save(path)
+        command = [sys.executable, "-m", "train.mission", "--scene", str(path), "--out", str(out)]
+        command += ["--order", args.order, "--workers", str(args.workers), "--no-video"]
+        with open(Path(folder) / "messages", "w") as messages:
+            process = subprocess.Popen(
+                [*command, "--seed", str(args.seed)], stdout=messages, stderr=messages
+            )
+            peak = 0.0
+            while process.poll() is None:
+                peak = max(peak, memory(process.pid))
+                time.sleep(0.5)
+        if not (out / "mission.json").is_file():
+            raise SystemExit((Path(folder) / "messages").read_text()[-2000:])
+        result = json.loads((out / "mission.json").read_text())
+    segments = result["segments"]
+    return result, {
+        "peak_gib": peak,
+        "segment_train_seconds": [segment["train_seconds"] for segment in segments],
+        "updates": [segment["updates"] for segment in segments],
+    }
+
+
+def memory(pid: int) -> float:
+    """Proportional set size of a process and its descendants, in GiB (Linux)."""
+    total = 0
+    with contextlib.suppress(OSError):
+        rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
+        total = int(rollup.split("Pss:")[1].split()[0])
+        for child in Path(f"/proc/{pid}/task").glob("*/children"):
+            total += sum(int(memory(int(other)) * 2**20) for other in child.read_text().split())
+    return total / 2**20
 
 
 PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
@@ -94,10 +141,13 @@ def missions(args: Args, rows: list[Row]) -> None:
         course = Course.mission(scene, order)
         for name in todo:
             begun = time.perf_counter()
-            flight, more = PLANNERS[name](course)
+            if name == "policy":
+                result, more = learn(scene, args)
+            else:
+                flight, more = PLANNERS[name](course)
+                untaught = [None] * (len(order) + 1)
+                result = mission_result(course, order, args.order, flight, untaught, scene.seed)
             seconds = time.perf_counter() - begun
-            untaught = [None] * (len(order) + 1)
-            result = mission_result(course, order, args.order, flight, untaught, scene.seed)
             row = {"scene": scene.name, "layout": scene.name.split("_")[0], "planner": name}
             row |= {"order_method": args.order, "seed": scene.seed}
             row |= {key: result[key] for key in SHOWN} | {"seconds": seconds} | more
@@ -126,8 +176,8 @@ def summary(rows: list[Row]) -> list[str]:
     """Lines of a table: a row for each layout, order and planner."""
     lines = [
         "| layout | order | planner | success | contacts | ratio mean | worst "
-        "| of detour time mean | worst | decision (ms) |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| of detour time mean | worst | decision (ms) | seconds | worst |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     kinds = dict.fromkeys((row["layout"], row["order_method"], row["planner"]) for row in rows)
     for kind in kinds:
@@ -140,6 +190,8 @@ def summary(rows: list[Row]) -> list[str]:
             cells += [f"{statistics.mean(values):.4f}", f"{max(values):.4f}"] if won else ["", ""]
         timed = [row["decision_ms"] for row in mine if "decision_ms" in row]
         cells.append(f"{statistics.median(timed):.1f}" if timed else "")
+        cells.append(f"{statistics.median(row['seconds'] for row in mine):.0f}")
+        cells.append(f"{max(row['seconds'] for row in mine):.0f}")
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
@@ -147,9 +199,9 @@ def summary(rows: list[Row]) -> list[str]:
 def main(args: Args) -> None:
     """Fly, save, print."""
     torch.set_num_threads(1)
-    unknown = sorted(set(args.planners) - set(PLANNERS))
+    unknown = sorted(set(args.planners) - {"policy", *PLANNERS})
     if unknown:
-        raise SystemExit(f"--planners: {unknown[0]}: must be one of {', '.join(PLANNERS)}")
+        raise SystemExit(f"--planners: {unknown[0]}: must be one of policy, {', '.join(PLANNERS)}")
     rows: list[Row] = []
     if args.out and args.out.is_file():
         rows = json.loads(args.out.read_text())["results"]
