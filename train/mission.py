@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,11 +121,13 @@ def train_mission(args: Args) -> int:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
     say("computing the guidance of every segment")
-    course = Course.mission(scene, order)
+    guidance = folder.path / "guidance"
+    course = Course.mission(scene, order, guidance)
     if args.ray is not None:
         connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
+        course.save_guidance(guidance)  # for the segments' processes, and to resume
         if not _learn(args, folder, scene, order):
             say("stopped, saved; go on with --resume")
             return INTERRUPTED
@@ -136,6 +139,7 @@ def train_mission(args: Args) -> int:
         write_flight(folder, course, order, flight)
         write_learning(folder, len(segments))
         folder.write_json("mission.json", result)
+        shutil.rmtree(guidance, ignore_errors=True)
     except TrainingError as error:
         say(f"error: {error}; when mended, go on with --resume")
         return 1
@@ -193,6 +197,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--seed", str(attempt_seed(args.seed, index, attempt)),
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--video" if filmed else "--no-video", *learn_arguments(args.learn),
+            "--guidance", str((folder.path / "guidance").resolve()),
         ]  # fmt: skip
         return Job(index, tuple(arguments), segment.path)
 

@@ -33,6 +33,8 @@ BAD_INPUT = 2
 VERSIONED = (
     "mjcollect",
     "mujoco",
+    "numba",
+    "clarabel",
     "dm-control",
     "torch",
     "torchrl",
@@ -44,7 +46,8 @@ VERSIONED = (
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
     "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
-    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "report.md",
+    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "guidance",
+    "report.md",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
 SPACE = 1_000_000  # bytes; with less a run is not begun

@@ -64,6 +64,8 @@ class Args:
     """Render segment.mp4."""
     checkpoint_every: int = 1000
     """Updates between checkpoints."""
+    guidance: Path | None = None
+    """Folder in which a mission has saved its guidance, which else takes seconds to build."""
     learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=LearnConfig
     )
@@ -107,7 +109,7 @@ def train_segment(args: Args) -> int:
     if args.resume:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
-    course = Course.segment(scene, order, index)
+    course = Course.segment(scene, order, index, args.guidance)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
         return _run(course, order, index, folder, args)
