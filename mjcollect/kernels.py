@@ -204,17 +204,17 @@ def command(
 def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
     """Add to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
     radius, boxes = world.radius[w, 0], world.boxes[w]
+    low, high = path[0].copy(), path[0].copy()
+    for s in range(1, len(path)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
     for b in range(len(boxes)):  # by index: iteration forgets that boxes are contiguous
-        box = boxes[b]
         near = True
         for k in range(3):
-            low = high = path[0, k]
-            for s in range(1, len(path)):
-                low, high = min(low, path[s, k]), max(high, path[s, k])
-            near = near and box[0, k] <= high + radius and box[1, k] >= low - radius
+            near = near and low[k] - radius <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + radius
         if near:
             for s in range(len(touch)):
-                touch[s] = touch[s] or segment_gap(path[s], path[s + 1], box) < radius
+                touch[s] = touch[s] or segment_gap(path[s], path[s + 1], boxes[b]) < radius
 
 
 @compiled
