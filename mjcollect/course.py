@@ -114,53 +114,39 @@ class Course:
                 node's tolerance, where the segment before can have stopped. `spread`, for
                 training: most in an ellipsoid around the way, moving at up to 15 m/s.
         """
-        home, reach = self.scene.point(self.nodes[0]), self.scene.tolerance(self.nodes[0])
+        scene, home = self.scene, self.scene.point(self.nodes[0])
         if kind == "point":
             return np.tile(home, (count, 1)), np.zeros((count, 3))
-        q, v = np.empty((count, 3)), np.zeros((count, 3))
-        spread = rng.random(count) < (SPREAD_SHARE if kind == "spread" else 0.0)
+        q, v = np.empty((count, 3)), np.empty((count, 3))
+        kinds = (rng.random(count) < (SPREAD_SHARE if kind == "spread" else 0.0)).astype(np.intp)
+        space = plain(scene.bounds), plain(scene.obstacles), scene.a_max, scene.uav_radius
         wanting = np.ones(count, dtype=bool)
         for _ in range(1000):
             todo = np.flatnonzero(wanting)
-            if len(todo) == 0:
+            n = len(todo)
+            if n == 0:
                 return q, v
-            unit = _in_unit_ball(rng, len(todo))
-            far = spread[todo, None]
-            speed = _in_unit_ball(rng, len(todo)) * min(SPREAD_SPEED, self.scene.v_max)
-            q[todo] = np.where(far, self._around(unit), home + unit * reach)
-            v[todo] = np.where(far, speed, 0.0)
-            wanting[todo] = ~self._clear(q[todo], v[todo])
+            where = rng.standard_normal((n, 3)), rng.random((n, 1))
+            speed = rng.standard_normal((n, 3)), rng.random((n, 1))
+            kernels.try_starts(
+                *space, *self._ellipsoids, kinds, *where, *speed, todo, q, v, wanting
+            )
         # A start node wedged between boxes: the node itself is known to be free.
         q[wanting], v[wanting] = home, 0.0
         return q, v
 
     @cached_property
-    def _ellipsoid(self) -> tuple[Array, Array, float, float]:
-        """Middle (3,), direction (3,) and half widths along and across it, in metres."""
+    def _ellipsoids(self) -> tuple[Array, Array, Array, Array]:
+        """Where `ball` and `spread` starts lie, see `kernels.try_starts`; metres and m/s."""
         start, end = self.scene.point(self.nodes[0]), self.guidance[0].aim
-        axis = end - start
+        reach, axis = self.scene.tolerance(self.nodes[0]), end - start
         focal = float(np.linalg.norm(axis))
         total = max(self.guidance[0].length, focal) + SPREAD_SLACK
+        minor = float(np.sqrt(total**2 - focal**2)) / 2
         along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
-        return (start + end) / 2, along, total / 2, float(np.sqrt(total**2 - focal**2)) / 2
-
-    def _around(self, unit: Array) -> Array:
-        """Unit ball (n, 3) mapped onto the ellipsoid with the first leg's ends as foci."""
-        middle, along, major, minor = self._ellipsoid
-        share = (unit @ along)[:, None]
-        across = unit - share * along
-        return middle + share * along * major + across * minor
-
-    def _clear(self, q: Array, v: Array) -> np.ndarray:
-        """In bounds and clear of boxes with room to brake."""
-        scene, clear = self.scene, np.empty(len(q), dtype=bool)
-        kernels.room_to_brake(
-            plain(scene.bounds), plain(scene.obstacles), scene.a_max, scene.uav_radius, q, v, clear
+        return (
+            np.stack([start, (start + end) / 2]),
+            along,
+            np.array([[reach, reach], [total / 2, minor]]),
+            np.array([0.0, min(SPREAD_SPEED, self.scene.v_max)]),
         )
-        return clear
-
-
-def _in_unit_ball(rng: np.random.Generator, count: int) -> Array:
-    direction = rng.standard_normal((count, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    return direction * rng.random((count, 1)) ** (1 / 3)

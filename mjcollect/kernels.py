@@ -6,7 +6,7 @@ row is computed by the same code in the same order; fast-math stays off. The mod
 rules belong to (`flight`, `guidance`, `observation`, `geometry`) wrap the loops and say shapes and
 units. Constants that are tuned live there and come in as arguments.
 
-All of it is one file on purpose: numba caches machine code by the file's date, and would not
+All of it is one file on purpose: numba caches machine code by the file's content, and would not
 notice that a function called from another file has changed.
 """
 
@@ -241,19 +241,53 @@ def events(world: World, path: Array, tolerance: float, touch: Bools, outside: B
 
 @compiled
 def room_to_brake(
-    bounds: Array, boxes: Array, a_max: float, radius: float, q: Array, v: Array, room: Bools
-) -> None:
-    """See `Course.starts`: in bounds and clear of boxes, also after braking."""
+    bounds: Array, boxes: Array, a_max: float, radius: float, q: Array, v: Array
+) -> bool:
+    """Whether a body is in bounds and clear of boxes, also after braking."""
     offset, ahead = np.empty(3), np.empty(3)
-    for i in range(len(q)):
-        speed = norm(v[i])
+    speed = norm(v)
+    for k in range(3):
+        ahead[k] = q[k] + v[k] * (speed / (2 * a_max))
+    if is_outside(bounds, q, 0.0) or is_outside(bounds, ahead, 0.0):
+        return False
+    for b in range(len(boxes)):
+        if box_offset(q, boxes[b], offset) < radius + speed**2 / (2 * a_max):
+            return False
+    return True
+
+
+@compiled
+def from_ball(normal: Array, share: float, vector: Array) -> None:
+    """A point of the unit ball, uniform if `normal` (3,) and `share` come from N(0, 1), U(0, 1)."""
+    size = norm(normal)
+    for k in range(3):
+        vector[k] = normal[k] / size * share ** (1 / 3)
+
+
+@compiled
+def try_starts(
+    bounds: Array, boxes: Array, a_max: float, radius: float, middle: Array, along: Array,
+    half: Array, top: Array, kind: Indices, where: Array, where_share: Array, speed: Array,
+    speed_share: Array, todo: Indices, q: Array, v: Array, wanting: Bools,
+) -> None:  # fmt: skip
+    """Starts of each `kind` (N,) in the episodes `todo`, which go on `wanting` if one does not fit.
+
+    A kind's positions fill the ellipsoid round `middle` (kinds, 3) with axis `along` (3,) and half
+    widths `half` (kinds, 2) along and across it; its velocities the ball of radius `top` (kinds,).
+    """
+    unit = np.empty(3)
+    for j in range(len(todo)):
+        i = todo[j]
+        from_ball(where[j], where_share[j, 0], unit)
+        major, minor = half[kind[i], 0], half[kind[i], 1]
+        share = dot(unit, along)
         for k in range(3):
-            ahead[k] = q[i, k] + v[i, k] * (speed / (2 * a_max))
-        room[i] = not (is_outside(bounds, q[i], 0.0) or is_outside(bounds, ahead, 0.0))
-        for b in range(len(boxes)):
-            if box_offset(q[i], boxes[b], offset) < radius + speed**2 / (2 * a_max):
-                room[i] = False
-                break
+            across = unit[k] - share * along[k]
+            q[i, k] = middle[kind[i], k] + share * along[k] * major + across * minor
+        from_ball(speed[j], speed_share[j, 0], v[i])
+        for k in range(3):
+            v[i, k] *= top[kind[i]]
+        wanting[i] = not room_to_brake(bounds, boxes, a_max, radius, q[i], v[i])
 
 
 # Guidance
