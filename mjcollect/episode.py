@@ -182,6 +182,11 @@ class Episodes:
             return self._observation(self.world, state)
         return self._observation(self.world.rows(which), state.rows(which))
 
+    @property
+    def onward(self) -> Array:
+        """Seconds (N,) at full speed that the current place costs on the tour's next leg."""
+        return np.asarray(self._approach.onward / self.world.v_max[..., 0])
+
     def guidance_action(self) -> Array:
         """Actions (N, 3) of the guidance law from here, see `kernels.law_row`."""
         return self._approach.law
@@ -196,6 +201,7 @@ class Episodes:
             ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
             slack=np.empty(self.count),
             law=np.empty((self.count, 3)),
+            onward=np.zeros(self.count),
         )
         self._look_anew(approach, self._all)
         return approach
@@ -220,6 +226,10 @@ class Episodes:
                 approach.law,
             )
             approach.slack[mine] = self._guidance[target].slack
+            beyond = self._guidance[target].beyond
+            if beyond is not None:
+                extra = np.linalg.norm(self._goal[target] - beyond)
+                approach.onward[mine] = np.linalg.norm(self.q[mine] - beyond, axis=-1) - extra
             approach.returning[mine] = self._node[target] < 0
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:

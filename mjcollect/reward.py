@@ -55,6 +55,8 @@ class Approach:
         ahead: (N, A, 3) from the body to points farther along the path.
         slack: (N,) metres by which a stop may miss the end of the path, along it.
         law: (N, 3) actions of the guidance law.
+        onward: (N,) metres by which the tour's next target is farther from the body than from the
+            current target; 0 where the tour ends.
     """
 
     offset: Array
@@ -65,6 +67,7 @@ class Approach:
     ahead: Array
     slack: Array
     law: Array
+    onward: Array
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:
@@ -75,8 +78,12 @@ def potential(world: World, approach: Approach, gamma: float) -> Array:
 
 
 def time_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
-    """-slot + gamma Phi' - Phi, with Phi' = 0 on arrival; -2 flat for a crash. Shape (N,)."""
-    ahead = np.where(slot.arrived, 0.0, potential(world, after, gamma))
+    """-slot + gamma Phi' - Phi; -2 flat for a crash. Shape (N,).
+
+    On arrival Phi' is minus the time that the place of the stop costs on the next leg.
+    """
+    stopped = -after.onward / world.v_max[..., 0]
+    ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
     return np.where(slot.crashed, CRASH, shaped)
 

@@ -75,7 +75,7 @@ def test_stopped_and_resumed_equals_one_go(course, tmp_path, stop_after):
 def test_budget_grows_only_without_success(course):
     trainer = Trainer(course, dataclasses.replace(SMALL, extra_updates=40), 0)
     assert trainer.budget == 160
-    trainer.best = Evaluation(1.0, True, 5.0, 5.0, 0.0)
+    trainer.best = Evaluation(1.0, True, 5.0, 5.0, 5.0, 0.0)
     assert trainer.budget == 120
     trainer.close()
 
