@@ -37,7 +37,9 @@ from mjcollect.inspect_scene import first_blocked
 from mjcollect.scene import Scene
 from mjcollect.task import make_environment
 from mjcollect.tour import plan_order
-from train.learn import Evaluator, LearnConfig, Trainer
+from train.evaluation import Evaluator
+from train.learn import Trainer
+from train.learn_config import LearnConfig
 
 TARGET = 3.0
 

@@ -8,7 +8,9 @@ from tensordict import TensorDict
 from mjcollect.course import Course
 from mjcollect.scene import Scene
 from train.ddpg import Learner, make_buffer
-from train.learn import Evaluation, Evaluator, LearnConfig, Trainer, stream
+from train.evaluation import Evaluation, Evaluator, stream
+from train.learn import Trainer
+from train.learn_config import LearnConfig
 from train.runs import RunFolder
 
 SMALL = LearnConfig(

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from train.learn import LearnConfig
+from train.learn_config import LearnConfig
 from train.workers import Done, Job, attempt_seed, learn_arguments, pack, run_jobs, unpack
 
 

@@ -19,7 +19,7 @@ from mjcollect.course import Course
 from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import fly
-from train.learn import LearnConfig
+from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
 from train.policies import TrainedPolicy

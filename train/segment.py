@@ -26,7 +26,8 @@ from mjcollect.scene import Scene
 from mjcollect.tour import legs, plan_order
 from mjcollect.verify import verify
 from train.flight_recorder import fly
-from train.learn import LearnConfig, Trainer
+from train.learn import Trainer
+from train.learn_config import LearnConfig
 from train.runs import (
     INTERRUPTED,
     RunError,

@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from train.learn import LearnConfig, stream
+from train.evaluation import stream
+from train.learn_config import LearnConfig
 from train.runs import RunError
 
 
