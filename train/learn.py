@@ -84,7 +84,7 @@ class Trainer:
 
     def _residual(self) -> float:
         """The correction in force: larger where the guidance law leaves much to be gained."""
-        if self.config.observation != "guided":
+        if self.config.observation != "guided" or self.config.residual == 0.0:
             return 0.0
         episodes = self.evaluator.sims.episodes
         law = self.evaluator(lambda _: episodes.guidance_action())
