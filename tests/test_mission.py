@@ -128,7 +128,8 @@ def test_ctrl_c_exits_130_after_saving(scene_file, tmp_path):
 
 def test_an_imperfect_segment_is_trained_again_and_the_report_says_so(scene_file, tmp_path):
     out = tmp_path / "out"
-    run(scene_file, out, "--retries", "1", "--updates", "4", "--demonstrations", "0")
+    untaught = ("--updates", "4", "--demonstrations", "0", "--residual", "0")
+    run(scene_file, out, "--retries", "1", *untaught)
     tried = {path.name.split("-")[0] for path in (out / "attempts").iterdir()}
     assert tried == {"0", "1", "2"}  # four updates teach nothing
     seeds = [json.loads(p.read_text())["seed"] for p in out.glob("*/0*/config.json")]
