@@ -188,7 +188,7 @@ class Episodes:
         return np.asarray(self._approach.onward / self.world.v_max[..., 0])
 
     def guidance_action(self) -> Array:
-        """Actions (N, 3) of the guidance law from here, see `kernels.law_row`."""
+        """Actions (N, 3) of the guidance law from here, see `kernels.law`."""
         return self._approach.law
 
     def _look(self) -> Approach:

@@ -15,12 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mjcollect import distance_field, geometry, guidance, kernels, paths, reachability, waypoints
+from mjcollect import compiled, distance_field, geometry, guidance, paths, reachability, waypoints
 from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance, Way
+from mjcollect.kernels import boxes, vectors
 from mjcollect.scene import Scene
 
-_BUILDERS = (guidance, waypoints, paths, distance_field, reachability, geometry, kernels)
+_BUILDERS = (
+    guidance, waypoints, paths, distance_field, reachability, geometry, boxes, vectors, compiled,
+)  # fmt: skip
 
 
 def file_name(scene: Scene, node: int, start: Array, beyond: Array | None = None) -> str:

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mjcollect import kernels
+from mjcollect.compiled import plain
 from mjcollect.flight import Bools, Slot, World
 from mjcollect.geometry import Array
 
@@ -29,19 +31,10 @@ def time_to_go(world: World, distance: Array, closing: Array, slack: Array | flo
     Returns:
         (N,) seconds, capped at 60.
     """
-    a, top = world.a_max[..., 0], world.v_max[..., 0]
-    away = np.minimum(closing, 0.0)  # first brake the receding motion
-    distance = distance + away**2 / (2 * a)
-    speed = np.minimum(np.maximum(closing, 0.0), top)
-    braking = speed**2 / (2 * a)
-    near, far = np.maximum(distance - slack, 0.0), distance + slack
-    # Too fast to stop before the far end: brake, then come back.
-    back = 2 * np.sqrt(np.maximum(braking - far, 0.0) / a)
-    peak = np.sqrt(a * near + speed**2 / 2)
-    cruise = np.maximum(near - (2 * top**2 - speed**2) / (2 * a), 0.0) / top
-    go = (2 * np.minimum(peak, top) - speed) / a + cruise
-    time = np.where(braking >= near, speed / a + back, go) - away / a
-    return np.asarray(np.minimum(time, TIME_CAP))
+    time = np.empty(len(distance))
+    slack = plain(slack if isinstance(slack, np.ndarray) else np.full(len(time), slack))
+    kernels.time_to_go(world, plain(distance), plain(closing), slack, TIME_CAP, time)
+    return time
 
 
 @dataclass(frozen=True)

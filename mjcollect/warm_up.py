@@ -2,7 +2,8 @@
 
     python -m mjcollect.warm_up
 
-Else it happens at the first use, once for each version of the code. `scripts/setup` runs it.
+Else it happens at the first use, once for each version of the code. `train.warm_up` does the same
+for what learning needs as well; `scripts/setup` runs that.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
+
 import numba
 import numpy as np
 import pytest
@@ -107,7 +110,8 @@ def test_every_kernel_is_compiled_for_one_kind_of_arrays_only(blocked_course):
     sims.close()
     counts = {
         name: len(kernel.signatures)
-        for name, kernel in vars(kernels).items()
+        for module in pkgutil.iter_modules(kernels.__path__, f"{kernels.__name__}.")
+        for name, kernel in vars(importlib.import_module(module.name)).items()
         if isinstance(kernel, numba.core.dispatcher.Dispatcher)
     }
     assert counts["events"] == counts["look"] == counts["guided"] == counts["segment_gaps"] == 1
