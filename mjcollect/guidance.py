@@ -30,6 +30,7 @@ COARSE_SLACK_SHARE, COARSE_SLACK_OF_WAY = 0.1, 0.3
 # share of the bounds' longest side.
 FINE_SLACK, FINE_SLACK_SHARE = 60.0, 0.06
 AIM_ROOM = 2.0  # metres wanted between an aim and boxes or bounds
+STOP_SHARE = 0.9  # of the tolerance: how far from its goal a stop may be planned
 AIM_SHARE = 0.7  # of the tolerance: how far an aim may lie from its goal
 SLACK_SHARE = 0.8  # of what is left of the tolerance beside the aim
 TURN_SHARE = 0.6  # of the tolerance: how far an aim is moved towards the inside of the tour's turn
@@ -45,6 +46,8 @@ class Way(NamedTuple):
     Attributes:
         points, rest, onward, cut, sight: see `Waypoints`.
         low, spacing: (F, 3) m. nodes: (F, 3), nodes along each axis.
+        stop: (4,) where a stop is best for the tour, and the radius in m of the ball around the
+            goal in which a stop is free; 0 if it is not free all around.
         first: (F,) index of each field's first node in `values` (V,), in metres.
     """
 
@@ -58,6 +61,7 @@ class Way(NamedTuple):
     nodes: NDArray[np.int64]
     first: NDArray[np.int64]
     values: NDArray[np.float32]
+    stop: Array
 
 
 class Guidance:
@@ -101,6 +105,7 @@ class Guidance:
         self.path, ways = self._find_path(start, fields)
         self.way = Way(
             **Waypoints.of(scene, self.path, ways)._asdict(),
+            stop=self._best_stop(),
             low=np.stack([field.low for field in fields]),
             spacing=np.stack([field.h for field in fields]),
             nodes=np.array([field.filled.shape for field in fields], dtype=np.int64),
@@ -154,6 +159,17 @@ class Guidance:
 
     def _tight(self, way: Array) -> Array:
         return tighten(way, self.scene.obstacles, self.scene.uav_radius)
+
+    def _best_stop(self) -> Array:
+        """`Way.stop`: towards where the tour goes on, else the aim."""
+        radius = STOP_SHARE * self.tolerance
+        if room_at(self.scene, self.goal[None])[0] < self.tolerance + AIM_ROOM:
+            return np.append(self.aim, 0.0)
+        if self.beyond is None:
+            return np.append(self.aim, radius)
+        onward = self.beyond - self.goal
+        far = float(np.linalg.norm(onward))
+        return np.append(self.goal + onward / max(far, 1e-9) * min(radius, far), radius)
 
     @cached_property
     def length(self) -> float:

@@ -11,6 +11,7 @@ from mjcollect.compiled import Array, Indices, compiled
 from mjcollect.kernels.boxes import box_offset
 from mjcollect.kernels.flight import scene_of
 from mjcollect.kernels.law import heading_row, law_row
+from mjcollect.kernels.stop import stop_row
 from mjcollect.kernels.vectors import dot
 from mjcollect.kernels.way import query_row
 
@@ -39,7 +40,17 @@ def look(
             offset[i, k] = goal[k] - q[i, k]
             point[k], towards[k] = q[i, k], direction[i, k]
         corner = heading_row(way, world.slot, world.a_max[w, 0], chosen, q[i], v[i], towards)
-        law_row(world, w, q[i], v[i], max(left - slack, 0.0), towards, corner, law[i])
+        room = max(left - slack, 0.0)
+        if chosen == len(way.points) - 1:
+            a_max, top = world.a_max[w, 0], world.v_max[w, 0]
+            found = stop_row(way, goal, q[i], v[i], a_max, top, world.slot, point)
+            if found >= 0.0:
+                room = found
+                for k in range(3):
+                    towards[k] = point[k]
+            for k in range(3):
+                point[k] = q[i, k]
+        law_row(world, w, q[i], v[i], room, towards, corner, law[i])
         for k in range(3):
             towards[k] = direction[i, k]
         for a in range(len(strides)):

@@ -1,0 +1,109 @@
+"""Where in a goal's ball the guidance law stops.
+
+A leg takes a whole number of slots. What they leave to spare is used to stop nearer to where the
+tour goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mjcollect.compiled import Array, compiled
+from mjcollect.kernels.reward import time_to_rest
+from mjcollect.kernels.vectors import dot, norm, unit
+
+if TYPE_CHECKING:
+    from mjcollect.guidance import Way
+
+SPARE = 0.02  # seconds of what is to spare that are not counted on
+STRETCH = 1e-6  # share of a slot by which a time may exceed whole slots
+
+
+@compiled
+def chord(goal: Array, radius: float, q: Array, towards: Array) -> tuple[float, float]:
+    """Metres from q along `towards` to the middle of the chord through a ball, and half of it.
+
+    The half is negative where the ball is missed.
+    """
+    middle, square = 0.0, 0.0
+    for k in range(3):
+        middle += (goal[k] - q[k]) * towards[k]
+        square += (goal[k] - q[k]) ** 2
+    left = radius**2 - (square - middle**2)
+    return middle, math.sqrt(left) if left >= 0.0 else -1.0
+
+
+@compiled
+def along(
+    goal: Array, best: Array, radius: float, q: Array, v: Array, a_max: float, top: float,
+    slot: float, towards: Array,
+) -> float:  # fmt: skip
+    """Metres to a stop in the ball along the velocity: near the end the heading is kept."""
+    speed = unit(v, towards)
+    braking = speed**2 / (2 * a_max)
+    middle, half = chord(goal, radius, q, towards)
+    if half < 0.0 or middle + half <= 0.0:  # missed: straight to the ball
+        for k in range(3):
+            towards[k] = goal[k] - q[k]
+        return max(unit(towards, towards) - radius, 0.0)
+    near, last = max(middle - half, 0.0), 0.0
+    for k in range(3):
+        last += (best[k] - q[k]) * towards[k]
+    last = min(max(last, near), middle + half)
+    if braking >= near:
+        slots = math.ceil(speed / a_max / slot - STRETCH)
+        return max(braking, min(last, speed * slots * slot / 2))  # even braking in whole slots
+    slots = math.ceil((time_to_rest(near, speed, 0.0, a_max, top) + SPARE) / slot - STRETCH)
+    low, high = near, last
+    for _ in range(12):
+        tried = (low + high) / 2
+        if time_to_rest(tried, speed, 0.0, a_max, top) <= slots * slot - SPARE:
+            low = tried
+        else:
+            high = tried
+    return low
+
+
+@compiled
+def stop_row(
+    way: Way, goal: Array, q: Array, v: Array, a_max: float, top: float, slot: float,
+    towards: Array,
+) -> float:  # fmt: skip
+    """Metres to fly along `towards`, which is set, to a stop in the goal's ball; -1: to the aim.
+
+    As near to `Way.stop`, where the tour goes on, as takes no more slots than the shortest way
+    into the ball.
+    """
+    radius = way.stop[3]
+    if radius <= 0.0:
+        return -1.0
+    for k in range(3):
+        towards[k] = goal[k] - q[k]
+    far, speed = unit(towards, towards), norm(v)
+    if speed > 1.0 and speed**2 / a_max + 2 * speed * slot >= far - radius:
+        return along(goal, way.stop, radius, q, v, a_max, top, slot, towards)
+    if far <= radius:
+        return 0.0
+    entry, step = np.empty(3), np.empty(3)
+    for k in range(3):
+        entry[k] = goal[k] - radius * towards[k]
+    least = time_to_rest(far - radius, dot(v, towards), 0.0, a_max, top)
+    slots = math.ceil((least + SPARE) / slot)
+    low, high = 0.0, 1.0
+    for trial in range(9):
+        share = 1.0 if trial == 0 else (low + high) / 2
+        for k in range(3):
+            step[k] = entry[k] + share * (way.stop[k] - entry[k]) - q[k]
+        room = unit(step, towards)
+        if time_to_rest(room, dot(v, towards), 0.0, a_max, top) <= slots * slot - SPARE:
+            low = share
+            if trial == 0:
+                return room
+        else:
+            high = share
+    for k in range(3):
+        step[k] = entry[k] + low * (way.stop[k] - entry[k]) - q[k]
+    return unit(step, towards)
