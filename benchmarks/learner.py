@@ -43,7 +43,7 @@ class Args:
 
     sizes: tuple[tuple[int, int], ...] = ((128, 256), (256, 256), (128, 128))
     """Width of the hidden layers and transitions in a batch, per table."""
-    observation: int = 45
+    observation: int = 52
     """Length of the observation."""
     repeats: int = 15
     """Interleaved rounds."""
