@@ -1,6 +1,8 @@
 """The guidance law, which learns nothing: along the way as fast as it can still be flown.
 
-The yardstick of what is learned, its prior, and the source of demonstrations.
+The yardstick of what is learned, its prior, and the source of demonstrations. After each of its
+slots full braking leads to rest without touching anything, so a flight that begins at rest and
+keeps to the law never does.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mjcollect.compiled import Array, compiled
-from mjcollect.kernels.boxes import box_offset, free_way
+from mjcollect.kernels.boxes import box_offset, free_way, segment_gap, slab
 from mjcollect.kernels.flight import project_row
 from mjcollect.kernels.vectors import dot, into_ball, norm, unit
 
@@ -21,9 +23,10 @@ if TYPE_CHECKING:
 
 ONE_TURN = 30.0  # metres within which corners count as one turn
 CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
-WALL_SHARE = 0.2  # the same towards a bound, at least
-FREE_ROOM = 0.1  # metres beyond the body's radius that the law's straight way keeps from boxes
+WALL_SHARE = 0.9  # of the room to a bound that a stop may take
+FREE_ROOM = 0.1  # metres beyond the body's radius that the law keeps from boxes where it can
 BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
+SLOWER = (1.0, 0.8, 0.5, 0.2, 0.0)  # shares of the wanted speed that are tried in turn
 
 
 @compiled
@@ -76,28 +79,108 @@ def stopping(brake: float, room: float, speed: float, slot: float) -> float:
 
 
 @compiled
-def hold_back(world: World, w: int, q: Array, v: Array, wanted: Array) -> None:
-    """Take from a wanted velocity what leads into the nearest box or out of bounds."""
-    boxes, radius, a_max = world.boxes[w], world.radius[w, 0], world.a_max[w, 0]
-    offset, nearest, gap = np.empty(3), np.zeros(3), np.inf
+def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
+    """Bend a heading along the nearest box where it leads into one close by."""
+    boxes = world.boxes[w]
+    offset, nearest, gap = np.empty(3), np.zeros(3), world.radius[w, 0] + BOX_ROOM
     for b in range(len(boxes)):
         this = box_offset(q, boxes[b], offset)
         if this < gap:
             gap = this
-            for k in range(3):
-                nearest[k] = offset[k] / max(this, 1e-9)
-    excess = dot(wanted, nearest) - max(gap - radius - BOX_ROOM, 0.0) / world.slot
-    if excess > 0.0:
+            unit(offset, nearest)
+    into = dot(heading, nearest)
+    if into > 0.0:
         for k in range(3):
-            wanted[k] -= excess * nearest[k]
-    speed = max(norm(v), 1e-9)
+            offset[k] = heading[k] - into * nearest[k]
+        unit(offset, heading)
+
+
+@compiled
+def within_bounds(world: World, w: int, q: Array, wanted: Array) -> None:
+    """Take from a wanted velocity what cannot be stopped within the bounds."""
+    bounds = world.bounds[w]
+    # Braking against the velocity, wanted[k] lasts for this long and covers half of it.
+    seconds = max(norm(wanted) / world.a_max[w, 0], 2 * world.slot)
     for k in range(3):
-        # Braking against the velocity, each axis gets its share of a_max.
-        brake = a_max * max(abs(v[k]) / speed, WALL_SHARE)
-        low, high = q[k] - world.bounds[w, 0, k], world.bounds[w, 1, k] - q[k]
-        slowest = -stopping(brake, max(low, 0.0), -v[k], world.slot)
-        fastest = stopping(brake, max(high, 0.0), v[k], world.slot)
+        slowest = -2 * WALL_SHARE / seconds * max(q[k] - bounds[0, k], 0.0)
+        fastest = 2 * WALL_SHARE / seconds * max(bounds[1, k] - q[k], 0.0)
         wanted[k] = min(max(wanted[k], slowest), fastest)
+
+
+@compiled
+def steer(world: World, w: int, v: Array, heading: Array, wanted: Array, a: Array) -> None:
+    """Feasible acceleration `a` in m/s^2 towards a wanted velocity, which it overwrites."""
+    a_max = world.a_max[w, 0]
+    for k in range(3):
+        wanted[k] = (wanted[k] - v[k]) / world.slot
+    along = dot(wanted, heading)
+    if along > 0.0:
+        # Across the path first: speed can wait, as braking cannot.
+        for k in range(3):
+            wanted[k] -= along * heading[k]
+        into_ball(wanted, a_max)
+        along = min(along, math.sqrt(max(a_max**2 - dot(wanted, wanted), 0.0)))
+        for k in range(3):
+            wanted[k] += along * heading[k]
+    into_ball(wanted, a_max)
+    for k in range(3):
+        wanted[k] /= a_max
+    project_row(world, w, v, wanted, a)
+
+
+@compiled
+def can_stop(world: World, w: int, q: Array, v: Array, a: Array) -> bool:
+    """Whether a slot of acceleration `a` (3,) and then full braking touch nothing.
+
+    They keep FREE_ROOM from boxes, or as much as there is at q.
+    """
+    boxes, bounds, slot = world.boxes[w], world.bounds[w], world.slot
+    a_max, radius = world.a_max[w, 0], world.radius[w, 0]
+    low, high, end, braking = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        braking[k] = v[k] + a[k] * slot
+    # Braking ends with a slot of which only a part is needed: that takes longer, and farther.
+    speed = norm(braking)
+    part = speed / (a_max * slot) % 1.0
+    more = part * (1.0 - part) * a_max * slot**2 / 2
+    reach = speed / (2 * a_max) + more / max(speed, 1e-9)
+    for k in range(3):
+        end[k] = q[k] + slot * (v[k] + a[k] * (slot + world.step) / 2)
+        braking[k] *= reach
+        # The slot's parabola lies between q, its end, and where the tangents there meet.
+        tangent = q[k] + slot * (v[k] + a[k] * world.step / 2) / 2
+        low[k], high[k] = min(q[k], tangent, end[k]), max(q[k], tangent, end[k])
+        rest = end[k] + braking[k]
+        if min(low[k], rest) < bounds[0, k] or max(high[k], rest) > bounds[1, k]:
+            return False
+    for b in range(len(boxes)):
+        room, near = radius + FREE_ROOM, True
+        for k in range(3):
+            near = near and low[k] - room <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + room
+        enter, leave = slab(end, braking, boxes[b], room, 1e-12)
+        near = near or (enter <= leave and leave >= 0.0 and enter <= 1.0)
+        if near and not clear_of(world, w, q, v, a, end, braking, boxes[b]):
+            return False
+    return True
+
+
+@compiled
+def clear_of(
+    world: World, w: int, q: Array, v: Array, a: Array, end: Array, braking: Array, box: Array
+) -> bool:
+    """Whether a slot and then `braking` (3,) from its end keep clear of a box, see `can_stop`."""
+    one, other, radius = q.copy(), np.empty(3), world.radius[w, 0]
+    # A hair less, or rounding would hold a body beside a box for ever.
+    room = max(min(FREE_ROOM + radius, box_offset(q, box, other) - 1e-9), radius)
+    for s in range(1, world.substeps + 2):
+        for k in range(3):
+            other[k] = q[k] + s * world.step * (v[k] + a[k] * world.step * (s + 1) / 2)
+            if s > world.substeps:
+                other[k] = end[k] + braking[k]
+        if segment_gap(one, other, box) < room:
+            return False
+        one[:] = other
+    return True
 
 
 @compiled
@@ -105,31 +188,27 @@ def law_row(
     world: World, w: int, q: Array, v: Array, room: float, heading: Array, corner: float,
     action: Array,
 ) -> None:  # fmt: skip
-    """Action of the law where `room` metres are left to fly.
+    """Action of the law where `room` metres are left to fly; bends `heading` where it must.
 
     Along `heading` at the greatest speed from which full braking still ends in time, at the aim,
-    at corners and before boxes.
+    at corners and before boxes; slower where it could not stop any more, at last full braking.
     """
     a_max, slot = world.a_max[w, 0], world.slot
+    beside_boxes(world, w, q, heading)
     closing = dot(v, heading)
-    speed = min(stopping(a_max, room, closing, slot), world.v_max[w, 0], corner)
     free = free_way(world.boxes[w], world.radius[w, 0] + FREE_ROOM, q, heading)
-    speed = min(speed, stopping(a_max, free, closing, slot))
+    speed = min(stopping(a_max, min(room, free), closing, slot), world.v_max[w, 0], corner)
     wanted = np.empty(3)
-    for k in range(3):
-        wanted[k] = heading[k] * speed
-    hold_back(world, w, q, v, wanted)
-    # Across the path first: a body that keeps to it may brake late, not the other way round.
-    for k in range(3):
-        wanted[k] = (wanted[k] - v[k]) / slot
-    along = dot(wanted, heading)
-    for k in range(3):
-        wanted[k] -= along * heading[k]
-    into_ball(wanted, a_max)
-    left = math.sqrt(max(a_max**2 - dot(wanted, wanted), 0.0))
-    along = min(max(along, -left), left)
-    for k in range(3):
-        wanted[k] = (wanted[k] + along * heading[k]) / a_max
-    project_row(world, w, v, wanted, action)
+    for share in SLOWER:
+        for k in range(3):
+            wanted[k] = heading[k] * speed * share
+        within_bounds(world, w, q, wanted)
+        steer(world, w, v, heading, wanted, action)
+        if can_stop(world, w, q, v, action):
+            break
+    else:
+        for k in range(3):
+            wanted[k] = -v[k] / slot / a_max
+        project_row(world, w, v, wanted, action)
     for k in range(3):
         action[k] /= a_max
