@@ -77,8 +77,11 @@ class DistanceField:
             pace = np.ones(self._shape)
             if crowding > 0.0:
                 pace /= 1.0 + crowding * self._crowding(blocked)
-            distance = skfmm.travel_time(front, pace, dx=self.h.tolist())
-            distance = np.ma.filled(distance, np.nan) + ball
+            try:
+                distance = skfmm.travel_time(front, pace, dx=self.h.tolist())
+                distance = np.ma.filled(distance, np.nan) + ball
+            except ValueError:  # "no zero contour": no node around the ball is free
+                distance = np.full(self._shape, np.nan)
             inside = tuple(near[seen].T)
             distance[inside] = straight[inside]
             self._distance = distance.astype(np.float32)

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from mjcollect.batch import Simulations
-from mjcollect.flight import World
-from mjcollect.guidance import Guidance, GuidanceError, path_length
-from mjcollect.guidance_law import guidance_law
+from mjcollect.bounds import leg_time
+from mjcollect.course import Course
+from mjcollect.episode import Episodes, Rules
+from mjcollect.generate import generate
+from mjcollect.guidance import Guidance, GuidanceError
+from mjcollect.paths import path_length
 from mjcollect.scene import Scene
 
 FLAT = np.array([[0.0, 0.0, 0.0], [400.0, 60.0, 60.0]])
@@ -205,17 +208,44 @@ def test_the_law_arrives_on_a_blocked_segment(blocked_course):
     assert won.all()
 
 
+def law(course, q, v):
+    """Actions of the law from states (n, 3)."""
+    episodes = Episodes([course], len(q), Rules())
+    episodes.reset(np.arange(len(q)), q, v)
+    return episodes.guidance_action()
+
+
 def test_the_law_stays_in_the_unit_ball_and_brakes_for_the_goal(free_course):
-    guide, world = free_course.guidance[0], World.stack([free_course.scene])
     rng = np.random.default_rng(0)
     q = rng.uniform(FLAT[0], FLAT[1], (300, 3))
     v = rng.normal(size=(300, 3))
     v *= rng.uniform(0, 50, (300, 1)) / np.linalg.norm(v, axis=1, keepdims=True)
-    action = guidance_law(world, q, v, *guide.query(q), guide.query)
-    assert np.all(np.linalg.norm(action, axis=1) <= 1 + 1e-12)
-    near, fast = guide.goal[None] - [20.0, 0, 0], np.array([[45.0, 0, 0]])
-    action = guidance_law(world, near, fast, *guide.query(near), guide.query)
-    np.testing.assert_allclose(action, [[-1.0, 0, 0]], atol=1e-9)
+    assert np.all(np.linalg.norm(law(free_course, q, v), axis=1) <= 1 + 1e-12)
+    near, fast = free_course.guidance[0].goal[None] - [20.0, 0, 0], np.array([[45.0, 0, 0]])
+    np.testing.assert_allclose(law(free_course, near, fast), [[-1.0, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("item", [60.0, 139.0, 263.0, 391.0])
+def test_the_law_is_within_two_slots_of_the_least_time_on_a_free_segment(item):
+    flown = scene([], item=(item, 31, 29), depot=(5.0, 30, 30))
+    course = Course.segment(flown, (0,), 0)
+    sims = Simulations([course], 1, threads=1)
+    sims.place(np.array([0]), *course.starts("point", 1, np.random.default_rng(0)))
+    slots = 1
+    while not sims.step(sims.episodes.guidance_action()).success[0]:
+        slots += 1
+    sims.close()
+    away = np.linalg.norm(flown.items[0] - flown.depot) - flown.epsilon
+    least = float(leg_time(away, flown.v_max, flown.a_max))
+    assert least <= slots * flown.slot <= least + 2 * flown.slot
+
+
+@pytest.mark.parametrize(("layout", "seed"), [("floating", 1), ("floating", 2), ("city", 3)])
+def test_the_law_flies_generated_missions_without_contact(layout, seed):
+    flown = generate(seed, 3, layout=layout)
+    won, lost = fly(Course.mission(flown, (0, 1, 2)), "ball", count=4)
+    assert won.all()
+    assert not lost.any()
 
 
 def test_an_aim_in_a_corner_keeps_room_to_the_bounds():

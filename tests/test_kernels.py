@@ -23,8 +23,12 @@ def random_way(rng, least, counts=((5, 7, 4), (9, 3, 6))) -> Way:
     """Two fields of random values, the second over a part of the first; no box hides the aim."""
     sizes = [int(np.prod(count)) for count in counts]
     return Way(
-        aim=np.array([1e3, 1e3, 1e3]),
-        keep=np.array([[[900.0] * 3, [950.0] * 3]]),  # in sight of none
+        points=np.array([[1e3, 1e3, 1e3]]),
+        rest=np.zeros(1),
+        onward=np.ones((1, 3)),
+        cut=np.ones(1),
+        sight=np.array([[[[900.0] * 3, [950.0] * 3]]]),  # in sight of none
+        stop=np.zeros(4),
         low=np.array([[0.0, 0, 0], [10.0, 20, 5]]),
         spacing=np.array([[10.0, 8, 12], [2.0, 5, 3]]),
         nodes=np.array(counts),

@@ -99,7 +99,8 @@ def test_paper_parts_by_hand(courses):
 
 def test_guided_parts_by_hand(courses):
     course = courses[7, 1]
-    aim = course.guidance[0].aim  # the first target is the item, in free sight of all these
+    guide = course.guidance[0]
+    aim = guide.aim  # the first target is the item, in free sight of all these
     q = np.array([[10.0, 20, 50], [200, 15, 45], [377, 21, 50]])
     v = np.array([[10.0, 2, -3], [0, 0, 0], [-5, 0, 0]])
     parts = observed(course, "guided", q, v)
@@ -110,7 +111,8 @@ def test_guided_parts_by_hand(courses):
         np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-12)
         np.testing.assert_allclose(parts["guide_direction"][i], offset / distance, rtol=1e-9)
         np.testing.assert_allclose(parts["velocity"][i], v[i] / 50, rtol=1e-12)
-        scales = [*(offset / 300), *np.tanh(offset / 60), *np.tanh(offset / 12)]
+        to_goal = guide.goal - q[i]
+        scales = [*(to_goal / 300), *np.tanh(to_goal / 60), *np.tanh(to_goal / 12)]
         np.testing.assert_allclose(parts["goal_offset"][i], scales, rtol=1e-12)
         along = sum(v[i] * offset) / distance
         across = math.sqrt(max(sum(v[i] ** 2) - along**2, 0.0))
@@ -118,6 +120,12 @@ def test_guided_parts_by_hand(courses):
         np.testing.assert_allclose(
             parts["speeds"][i], [along / 50, across / 50, excess], rtol=0, atol=1e-9
         )
+        stop = max(along, 0.0) ** 2 / 40
+        enter, leave = max(distance - guide.slack, 0.0), distance + guide.slack
+        braking = [min(stop / max(enter, 0.1), 2.0), min(stop / max(leave, 0.1), 2.0)]
+        later = stop + max(along, 0.0) * course.scene.slot
+        braking += [math.tanh((metres - enter) / 5) for metres in (stop, later)]
+        np.testing.assert_allclose(parts["braking"][i], braking, rtol=0, atol=1e-9)
         walls = [math.tanh((q[i, k] - LOW[k]) / 30) for k in range(3)]
         walls += [math.tanh((HIGH[k] - q[i, k]) / 30) for k in range(3)]
         np.testing.assert_allclose(parts["walls"][i], walls, rtol=0, atol=1e-12)

@@ -17,13 +17,18 @@ A, TOP, SLOT, GAMMA = 20.0, 50.0, 0.2, 0.99
 WORLD = World.stack([Scene("t", 0, [[0] * 3, [1000] * 3], [0.0] * 3, [[990.0] * 3], [])])
 
 
-def approach(distance, closing, offset=None, returning=False):
+def approach(distance, closing, offset=None, returning=False, slack=0.0, onward=0.0):
     """What rewards read of an `Approach`."""
     distance, closing = np.atleast_1d(distance).astype(float), np.atleast_1d(closing).astype(float)
     count = len(distance)
     offset = np.zeros((count, 3)) if offset is None else np.asarray(offset, float)
     return SimpleNamespace(
-        distance=distance, closing=closing, offset=offset, returning=np.full(count, returning)
+        distance=distance,
+        closing=closing,
+        offset=offset,
+        returning=np.full(count, returning),
+        slack=np.full(count, slack),
+        onward=np.full(count, onward),
     )
 
 
@@ -93,6 +98,31 @@ def test_time_to_go_uses_each_simulation_s_own_limits():
     ]
     time = time_to_go(World.stack(scenes), np.full(3, 100.0), np.zeros(3))
     np.testing.assert_allclose(time, [2 * 5**0.5, 2 * 20**0.5, 10.0 + 0.5])
+
+
+def test_slack_is_the_least_time_to_any_point_within_it():
+    """Against the least over many exact targets of the interval."""
+    rng = np.random.default_rng(4)
+    distance, closing = rng.uniform(0, 300, 200), rng.uniform(-TOP, TOP, 200)
+    slack = rng.uniform(0.1, 6.0, 200)
+    found = time_to_go(WORLD, distance, closing, slack)
+    shares = np.linspace(-1.0, 1.0, 4001)
+    for i in range(len(distance)):
+        targets = np.abs(distance[i] + shares * slack[i])
+        speed = np.where(distance[i] + shares * slack[i] < 0, -closing[i], closing[i])
+        exact = time_to_go(WORLD, targets, speed)
+        assert found[i] <= exact.min() + 1e-9
+        # A grid of targets misses the best one by at most its step.
+        assert found[i] >= exact.min() - 2 * np.sqrt(slack[i] / 2000 / A) - 1e-9
+
+
+def test_a_stop_is_paid_for_what_it_costs_on_the_next_leg():
+    before = approach(3.0, 4.0)
+    near, far = (
+        time_reward(WORLD, before, approach(3.0, 0.0, onward=m), events(arrived=True), GAMMA)[0]
+        for m in (-5.0, 5.0)
+    )
+    assert near - far == pytest.approx(GAMMA * 10.0 / TOP)
 
 
 # The `time` preset
