@@ -140,7 +140,10 @@ class DistanceField:
         return tuple(near[int(np.argmin(total))])
 
     def descend(self, node: tuple[int, ...]) -> tuple[int, ...] | None:
-        """The neighbour (of 26) with the steepest descent; None where nothing is lower."""
+        """The neighbour (of 26) with the steepest descent; None where nothing is lower.
+
+        Near the aim a node's cell need not be free throughout, so the step itself must be.
+        """
         low = np.maximum(np.array(node) - 1, 0)
         high = np.minimum(np.array(node) + 2, self._shape)
         block = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
@@ -151,6 +154,9 @@ class DistanceField:
         fall = self._distance[node] - self._distance[block]
         slope = np.where(length > 0, fall / np.maximum(length, 1e-9), -np.inf)
         slope = np.nan_to_num(slope, nan=-np.inf)
+        here, scene = self.points(np.array(node)), self._scene
+        clear = segment_clear(here, self.points(near), scene.obstacles, scene.uav_radius)
+        slope[~clear] = -np.inf
         best = np.unravel_index(np.argmax(slope), slope.shape)
         return tuple(near[best]) if slope[best] > 0 else None
 

@@ -131,6 +131,47 @@ def test_guided_parts_by_hand(courses):
         np.testing.assert_allclose(parts["walls"][i], walls, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("key", [(0, 1), (1, 2), (7, 1)])
+def test_the_action_seen_is_the_one_the_law_would_fly(courses, key):
+    course, (q, v) = courses[key], states(80, seed=9)
+    episodes = Episodes([course], len(q), Rules("guided"))
+    episodes.reset(np.arange(len(q)), q, v)
+    seen = episodes.observe()["guide_action"]
+    np.testing.assert_array_equal(seen, episodes.guidance_action())
+    assert np.all(np.linalg.norm(seen, axis=1) <= 1 + 1e-12)
+    assert np.all(np.ptp(seen, axis=0) > 1.0)
+    # Again after a slot, from the new state.
+    path = np.repeat((q + 0.5)[:, None], 10, axis=1)
+    episodes.begin_slot(np.zeros((len(q), 3)))
+    episodes.end_slot(path, -v, np.zeros((len(q), 10), bool))
+    after = episodes.observe()["guide_action"]
+    np.testing.assert_array_equal(after, episodes.guidance_action())
+    assert np.mean(np.any(np.abs(after - seen) > 0.1, axis=1)) > 0.5
+
+
+def test_braking_tells_what_share_of_full_braking_a_stop_takes(courses):
+    """At 1 the stop is just at the near (far) end of what will do; beyond it is too late."""
+    course = courses[0, 1]
+    guide, share = course.guidance[0], np.array([0.25, 0.5, 0.8, 1.0, 1.1])
+    distance = np.full(5, 40.0)
+    for part, stop in ((0, distance - guide.slack), (1, distance + guide.slack)):
+        towards = np.array([0.8, 0.36, 0.48])
+        v = np.sqrt(2 * 20.0 * stop * share)[:, None] * towards
+        q = guide.aim - distance[:, None] * towards
+        seen = observed(course, "guided", q, v)["braking"]
+        np.testing.assert_allclose(seen[:, part], share, rtol=1e-9)
+        if part == 0:
+            np.testing.assert_array_equal(seen[:, 2] > 1e-9, share > 1.0)
+            overshoot = (share - 1) * stop
+            np.testing.assert_allclose(np.arctanh(seen[:, 2]) * 5, overshoot, atol=1e-6)
+            later = overshoot + np.linalg.norm(v, axis=1) * 0.2  # a slot on
+            np.testing.assert_allclose(np.arctanh(seen[:, 3]) * 5, later, atol=1e-6)
+    resting = observed(course, "guided", q, 0 * v)["braking"]
+    assert np.all(resting[:, :2] == 0.0)
+    receding = observed(course, "guided", q, -v)["braking"]
+    np.testing.assert_array_equal(receding, resting)
+
+
 def test_nearest_boxes_come_first_and_fade_with_distance(courses):
     course = courses[7, 1]
     q, v = states(60, seed=5)
