@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjcollect.geometry import Array, inflate, segment_clear
 from mjcollect.paths import ROOM, path_length, tighten
@@ -68,10 +69,14 @@ class Waypoints(NamedTuple):
         units = steps / np.maximum(length, 1e-9)[:, None]
         low, high = scene.obstacles[:, 0], scene.obstacles[:, 1]
         kept = []
-        for point in way[1:]:
+        for before, point in itertools.pairwise(way):
             # Less beside a box that the point itself is close to: else it would never be in sight.
             beside = np.maximum(low - point, point - high).max(axis=1)
             margin = np.clip(0.9 * beside, scene.uav_radius, scene.uav_radius + sight)
+            # Inflated boxes have corners, which must not hide it from the point before either.
+            for less in (scene.uav_radius, scene.uav_radius / np.sqrt(3)):
+                hidden = _crosses(before, point, inflate(scene.obstacles, margin))
+                margin = np.where(hidden, less, margin)
             kept.append(inflate(scene.obstacles, margin))
         return cls(
             points=way[1:].copy(),
@@ -84,6 +89,14 @@ class Waypoints(NamedTuple):
 
 def _keeps(way: Array, boxes: Array, radius: float) -> bool:
     return all(bool(segment_clear(a, b, boxes, radius)) for a, b in itertools.pairwise(way))
+
+
+def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:
+    """Which boxes (M, 2, 3) the segment between two points (3,) meets. (M,)."""
+    step = end - start
+    share = (boxes - start) / np.where(np.abs(step) < 1e-12, 1e-12, step)
+    enter, leave = share.min(axis=1).max(axis=1), share.max(axis=1).min(axis=1)
+    return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
 
 def _moved_out(way: Array, scene: Scene, radius: float) -> tuple[Array, Array]:

@@ -59,6 +59,7 @@ def test_among_boxes_with_room_between_them_the_promised_room_is_kept(seed, boxe
 
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10**6))
+@example(942)  # the corners of inflated boxes hid the first waypoint from the start
 def test_along_the_way_some_waypoint_or_the_aim_is_always_in_sight(seed):
     """So that on the way distances are its length, without the field."""
     flown = crowded(seed, 10)
