@@ -1,6 +1,7 @@
 """`python -m train.mission` and `python -m train.fly`, with tiny budgets."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -165,7 +166,7 @@ def test_a_training_without_a_result_is_not_repeated(scene_file, tmp_path, capsy
     """Python's exit code of an unforeseen error is 1 too."""
     monkeypatch.setattr("train.workers.sys.executable", "/bin/false")
     assert run(scene_file, tmp_path / "out") == 1
-    assert "segment 0: exit code 1" in capsys.readouterr().err
+    assert re.search(r"segment [01]: exit code 1", capsys.readouterr().err)  # whichever ended first
 
 
 def test_items_within_reach_of_the_depot_have_no_ratio(tmp_path, capsys):
