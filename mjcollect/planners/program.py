@@ -8,7 +8,7 @@ slower, SCS twice, ECOS about as fast but under the GPL and without a quadratic 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import clarabel
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mjcollect.geometry import Array
+from mjcollect.planners.cones import Rows, minimise, norms, settings, within
 from mjcollect.planners.separation import SIGHT, separate
 from mjcollect.scene import Scene
 
@@ -25,7 +26,6 @@ ELASTIC_COST = 30.0  # the same where boxes may be overlapped for the time being
 EFFORT_COST = 1e-6  # metres of distance per (m/s^2)^2 and slot
 SHORT = 1e-5  # share of the limits kept in reserve: more than what the solver's tolerance takes
 HAIR = 1e-3  # metres kept from boxes beyond what is proven, for the same reason
-SOLVED = ("Solved", "AlmostSolved")
 
 
 @dataclass(frozen=True)
@@ -40,39 +40,6 @@ class Solution:
     q: Array
     v: Array
     slack: float
-
-
-@dataclass
-class _Rows:
-    """Rows of A z + s = b with s in a product of cones, gathered block by block."""
-
-    count: int = 0
-    row: list[NDArray[np.intp]] = field(default_factory=list)
-    column: list[NDArray[np.intp]] = field(default_factory=list)
-    value: list[Array] = field(default_factory=list)
-    right: list[Array] = field(default_factory=list)
-    cones: list[object] = field(default_factory=list)
-
-    def add(
-        self, right: Array, *terms: tuple[NDArray[np.intp], Array | float], cone: int = 1
-    ) -> None:
-        """Rows with right-hand sides `right` (R,), each in a cone of dimension `cone`.
-
-        Args:
-            terms: columns and values, (R,) or (R, n): what row r holds. Column -1 is nothing.
-                In a cone of 4, row 0 of each is its height.
-        """
-        for column, value in terms:
-            row = (self.count + np.arange(len(right))).reshape(-1, *[1] * (column.ndim - 1))
-            row, column, value = np.broadcast_arrays(row, column, value)
-            known = column >= 0
-            self.row.append(row[known])
-            self.column.append(column[known])
-            self.value.append(value[known])
-        self.right.append(right)
-        self.count += len(right)
-        if cone == 4:
-            self.cones += [clarabel.SecondOrderConeT(4)] * (len(right) // 4)
 
 
 class Program:
@@ -90,10 +57,7 @@ class Program:
     def __init__(self, scene: Scene) -> None:
         """Programs for flights in `scene`."""
         self._scene = scene
-        self._settings = clarabel.DefaultSettings()
-        self._settings.verbose = False
-        self._settings.max_threads = 1
-        self._settings.max_iter = 60
+        self._settings = settings()
         self.statuses: Counter[str] = Counter()
 
     def solve(
@@ -117,7 +81,7 @@ class Program:
         at_v = np.arange(3 * (count + 1)).reshape(-1, 3)
         at_q, at_slack = at_v + at_v.size, 2 * at_v.size + np.arange(count)
         at_t = 2 * at_v.size + count
-        rows = _Rows()
+        rows = Rows()
         self._dynamics(rows, at_q, at_v)
         zero = rows.count
         self._boxes(rows, at_q, at_slack, path, elastic)
@@ -125,8 +89,8 @@ class Program:
         rows.cones = [clarabel.ZeroConeT(zero), clarabel.NonnegativeConeT(rows.count - zero)]
         self._limits(rows, at_v)
         if ball is not None:
-            _within(rows, at_q[-1], ball[0] - start, radius=ball[1])
-        _within(rows, at_q[-1], pull - start, at_radius=at_t)
+            within(rows, at_q[-1], ball[0] - start, radius=ball[1])
+        within(rows, at_q[-1], pull - start, at_radius=at_t)
 
         fixed = np.full(at_t + 1, np.nan)
         fixed[at_v[0]], fixed[at_q[0]], fixed[at_v[-1]] = v, 0.0, 0.0
@@ -139,7 +103,7 @@ class Program:
         slack = float(z[at_slack].max())
         return Solution(np.concatenate([start[None], start + z[at_q[1:]]]), z[at_v], slack)
 
-    def _dynamics(self, rows: _Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
+    def _dynamics(self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
         """q_{k+1} = q_k + slot v_k + a_k slot^2 (n + 1) / (2 n), a_k = (v_{k+1} - v_k) / slot."""
         scene = self._scene
         share = (scene.substeps + 1) / (2 * scene.substeps)
@@ -153,7 +117,7 @@ class Program:
 
     def _boxes(
         self,
-        rows: _Rows,
+        rows: Rows,
         at_q: NDArray[np.intp],
         at_slack: NDArray[np.intp],
         path: Array,
@@ -181,7 +145,7 @@ class Program:
         rows.add(np.full(len(at_slack), 1e4 if elastic else COMFORT), (at_slack, 1.0))
 
     def _bounds(
-        self, rows: _Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp], path: Array
+        self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp], path: Array
     ) -> None:
         """Inside the bounds at every instant, near walls only.
 
@@ -201,15 +165,13 @@ class Program:
                 (at_v[piece + 1, axis], side * lag),
             )
 
-    def _limits(self, rows: _Rows, at_v: NDArray[np.intp]) -> None:
+    def _limits(self, rows: Rows, at_v: NDArray[np.intp]) -> None:
         """|v_{k+1} - v_k| <= a_max slot in every slot, |v_k| <= v_max at inner slot starts."""
         scene = self._scene
-        _norms(rows, scene.a_max * scene.slot * (1 - SHORT), (at_v[1:], 1.0), (at_v[:-1], -1.0))
-        _norms(rows, scene.v_max * (1 - SHORT), (at_v[1:-1], 1.0))
+        norms(rows, scene.a_max * scene.slot * (1 - SHORT), (at_v[1:], 1.0), (at_v[:-1], -1.0))
+        norms(rows, scene.v_max * (1 - SHORT), (at_v[1:-1], 1.0))
 
-    def _solve(
-        self, rows: _Rows, cost: Array, fixed: Array, at_v: NDArray[np.intp]
-    ) -> Array | None:
+    def _solve(self, rows: Rows, cost: Array, fixed: Array, at_v: NDArray[np.intp]) -> Array | None:
         """All variables, where `fixed` is not NaN as given there; None without a solution."""
         given = ~np.isnan(fixed)
         free = np.flatnonzero(~given)
@@ -240,35 +202,9 @@ class Program:
             ),
             shape=(len(free), len(free)),
         )
-        solver = clarabel.DefaultSolver(quadratic, cost, matrix, right, rows.cones, self._settings)
-        result = solver.solve()
-        status = str(result.status)
-        self.statuses[status] += 1
-        if status not in SOLVED:
+        best = minimise(quadratic, cost, matrix, right, rows.cones, self._settings, self.statuses)
+        if best is None:
             return None
         z = fixed.copy()
-        z[free] = result.x
+        z[free] = best
         return z
-
-
-def _norms(rows: _Rows, limit: float, *terms: tuple[NDArray[np.intp], float]) -> None:
-    """|sum of columns (n, 3) times values| <= limit, n times."""
-    count = len(terms[0][0])
-    right = np.zeros((count, 4))
-    right[:, 0] = limit
-    nothing = np.full((count, 1), -1)
-    padded = [(np.hstack([nothing, column]).ravel(), -value) for column, value in terms]
-    rows.add(right.ravel(), *padded, cone=4)
-
-
-def _within(
-    rows: _Rows,
-    at_point: NDArray[np.intp],
-    centre: Array,
-    *,
-    radius: float = 0.0,
-    at_radius: int = -1,
-) -> None:
-    """|point - centre| <= radius, which is a number or a variable; columns (3,), centre (3,)."""
-    right = np.concatenate([[radius], -centre])
-    rows.add(right, (np.concatenate([[at_radius], at_point]), -1.0), cone=4)

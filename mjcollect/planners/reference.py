@@ -1,0 +1,208 @@
+"""The reference: a mission in the fewest slots that can be found, with the whole scene known.
+
+It shows how far everyone else is from the limit. Three parts work together: an MPC's flight, or
+the shortest way, says round which side of the boxes each leg goes and `routes` what that costs; a
+small model of all legs (`allotment`) says how many slots each needs, with every stop anywhere in
+its ball; and a cone program of the whole mission at once (`tour_program`) finds the motion in these
+slots, solved anew round its last solution as the planes between path and boxes turn. Where that
+finds nothing better than the MPC's flight, that is what is flown.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from mjcollect.course import Course
+from mjcollect.episode import Episodes
+from mjcollect.geometry import Array, segment_clear
+from mjcollect.planners.allotment import Allotments, Slots
+from mjcollect.planners.mpc import INSIDE, Mpc
+from mjcollect.planners.program import COMFORT
+from mjcollect.planners.rehearsal import Rehearsal, rehearse
+from mjcollect.planners.routes import Way, explore, fitted, guess
+from mjcollect.planners.tour_program import Motion, TourProgram
+
+PASSES = 4  # of looking for fewer slots along the ways of the last success
+HOPE = -1.0  # metres of margin down to which an allotment is tried
+TRIED = 3  # allotments of each total
+SOFT_ROUNDS = 6  # of solving anew while boxes are overlapped
+ROUNDS = 10  # of solving anew in all
+GAIN = 0.02  # share of the miss that a round must take away, else there is no hope
+SPARE = (1.2, 1.5, 2.0, 3.0)  # lengths of a way in place of one, where there is no flight yet
+HIT = INSIDE / 2  # metres by which stops may miss their balls, which are smaller by INSIDE
+
+
+class NoFlight(ValueError):
+    """No flight of the course was found."""
+
+
+class Reference:
+    """Plans a course once; then the commands are flown as they are.
+
+        commands = Reference(course).plan()  # (N, 3) m/s^2, one for each slot
+
+    Attributes:
+        counts: allotments `tried`; motions `refused` by the rules of flight.
+        mpc_slots: slots of the MPC's flight; None if it did not arrive.
+    """
+
+    def __init__(self, course: Course, tell: Callable[[str], None] | None = None) -> None:
+        """Prepare for `course`; `tell` gets lines on how the planning goes."""
+        self._course, self._scene = course, course.scene
+        self._tell = tell or (lambda _: None)
+        balls = [
+            (guide.goal, guide.tolerance - min(INSIDE, guide.tolerance / 2))
+            for guide in course.guidance
+        ]
+        self._balls, self._program = balls, TourProgram(self._scene, balls)
+        self._solver: Counter[str] = Counter()
+        self._best: Rehearsal | None = None
+        self.counts: Counter[str] = Counter()
+        self.mpc_slots: int | None = None
+
+    @property
+    def statuses(self) -> Counter[str]:
+        """How often the solver ended in which status, the MPC's solves apart."""
+        return self._program.statuses + self._solver
+
+    def summary(self) -> str:
+        """How the plan was made, in a sentence."""
+        slots = len(self.plan())
+        if self.mpc_slots is None:
+            against = "the MPC does not arrive"
+        elif slots == self.mpc_slots:
+            against = "no fewer than the MPC, whose flight this is"
+        else:
+            against = f"the MPC takes {self.mpc_slots}"
+        ended = ", ".join(f"{status} {count}" for status, count in sorted(self.statuses.items()))
+        return (
+            f"{slots} slots; {against}. {self.counts['tried']} allotments of slots tried, "
+            f"{sum(self.statuses.values())} cone programs ({ended}), {self.counts['refused']} "
+            "motions refused by the rules of flight."
+        )
+
+    def action(self, episodes: Episodes) -> Array:
+        """Action (3,) in units of a_max for the only episode of `episodes`, from its start on.
+
+        Raises:
+            NoFlight: see `plan`.
+        """
+        commands, slot = self.plan(), int(episodes.steps[0])
+        if slot >= len(commands):  # not flown from the course's start
+            return np.asarray(episodes.guidance_action()[0])
+        return np.asarray(commands[slot] / self._scene.a_max)
+
+    def plan(self) -> Array:
+        """Commands (N, 3) in m/s^2, each for a slot, from rest exactly at the course's start.
+
+        Plans when first called. Deterministic.
+
+        Raises:
+            NoFlight: neither the MPC nor this planner finds a flight.
+        """
+        if self._best is None:
+            self._best = self._search()
+        return self._best.commands
+
+    def _search(self) -> Rehearsal:
+        mpc = Mpc(self._course)
+        best = rehearse(self._course, mpc.action)
+        self.mpc_slots = None if best is None else len(best.commands)
+        if best is None:
+            self._tell("reference: the MPC does not arrive; planning from the shortest ways")
+            best = self._from_ways()
+        for _ in range(PASSES):
+            self._tell(f"reference: {len(best.commands)} slots; looking for fewer")
+            better = self._fewer(best)
+            if better is None:
+                return best
+            best = better
+        return best
+
+    def _from_ways(self) -> Rehearsal:
+        """A flight along the shortest ways, in more slots than are needed."""
+        guides = self._course.guidance
+        for spare in SPARE:
+            paths = [guess(guide.path, self._scene, spare) for guide in guides]
+            flight = self._attempt(paths)
+            if flight is not None:
+                return flight
+        raise NoFlight(
+            f"scene {self._scene.name!r}: no flight through nodes {list(self._course.nodes)} was "
+            "found, by the MPC or all at once; widen the gaps between the boxes along the way"
+        )
+
+    def _fewer(self, flight: Rehearsal) -> Rehearsal | None:
+        """A flight in fewer slots along the best ways known; None if none is found."""
+        ways = self._ways(flight)
+        start = self._scene.point(self._course.nodes[0])
+        routes = [way.route for way in ways]
+        allotments = Allotments(self._scene, start, self._balls, routes)
+        totals: list[list[Slots]] = []
+        slots = flight.slots
+        while found := allotments.fewer(slots):
+            slots = found[0]
+            if allotments.margin(slots) < HOPE:
+                break
+            totals.append(found[:TRIED])
+        better = None
+        for candidates in reversed(totals):
+            for slots in candidates:
+                if better is None and allotments.margin(slots) >= HOPE:
+                    stops = np.concatenate([start[None], allotments.stops(slots)])
+                    paths = [
+                        fitted(way.path, number, stops[k], stops[k + 1])
+                        for k, (way, number) in enumerate(zip(ways, slots, strict=True))
+                    ]
+                    better = self._attempt(paths)
+        self._solver += allotments.statuses
+        return better
+
+    def _ways(self, flight: Rehearsal) -> list[Way]:
+        """The shortest way of each leg among those that begin as flown, as guided and straight."""
+        scene, ways = self._scene, []
+        for path, guide in zip(flight.legs, self._course.guidance, strict=True):
+            guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
+            firsts = [path]
+            if not segment_clear(path[0], path[-1], scene.obstacles, scene.uav_radius):
+                firsts += [guess(guided, self._scene), guess(path[[0, -1]], self._scene)]
+            found = [explore(self._program, self._scene, first) for first in firsts]
+            ways.append(min(found, key=lambda way: way.length))
+        return ways
+
+    def _attempt(self, paths: Sequence[Array]) -> Rehearsal | None:
+        """A flight near `paths`, in as many slots; None if none is found."""
+        self.counts["tried"] += 1
+        elastic, last = True, np.inf
+        for number in range(ROUNDS):
+            motion = self._program.best(paths, elastic)
+            if motion is None:
+                return None
+            paths, miss = motion.legs, float(motion.misses.sum())
+            if elastic:
+                elastic = motion.slack > COMFORT
+                if elastic and number >= SOFT_ROUNDS:
+                    return None
+                continue
+            if motion.misses.max() < HIT:
+                flight = self._flown(motion)
+                if flight is not None:
+                    return flight
+                self.counts["refused"] += 1
+            elif miss > (1 - GAIN) * last:
+                return None
+            last = miss
+        return None
+
+    def _flown(self, motion: Motion) -> Rehearsal | None:
+        """The motion as the rules of flight let it be flown, if it arrives as planned."""
+        actions = np.diff(motion.v, axis=0) / (self._scene.slot * self._scene.a_max)
+
+        def pilot(episodes: Episodes) -> Array:
+            return np.asarray(actions[min(int(episodes.steps[0]), len(actions) - 1)])
+
+        flight = rehearse(self._course, pilot)
+        return flight if flight is not None and len(flight.commands) <= len(actions) else None
