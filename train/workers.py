@@ -1,7 +1,8 @@
-"""Train a mission's segments side by side: in local processes, or as tasks of a Ray cluster.
+"""Run programs side by side: in local processes, or as tasks of a Ray cluster.
 
-Each segment is one `python -m train.segment` in a process of its own with a seed of its own, so
-the result does not depend on where, or beside what, it runs.
+A mission's segments are one `python -m train.segment` each, a reproduction's cells one
+`train.mission` or `train.fly`: processes of their own with seeds of their own, so the result does
+not depend on where, or beside what, they run.
 """
 
 from __future__ import annotations
@@ -32,16 +33,17 @@ from train.runs import RunError
 
 @dataclass(frozen=True)
 class Job:
-    """One training of one segment.
+    """One run of a program, such as the training of a segment.
 
     Attributes:
-        index: of the segment. arguments: of `train.segment`, without --out.
-        folder: where the run goes.
+        index: of the segment, or of whatever is run. arguments: of the program, without --out.
+        folder: where the run goes. program: its module.
     """
 
     index: int
     arguments: tuple[str, ...]
     folder: Path
+    program: str = "train.segment"
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class LocalWorkers:
         while (job := self._jobs.get()) is not None:
             if self._stopping:
                 continue
-            command = [sys.executable, "-m", "train.segment", *job.arguments]
+            command = [sys.executable, "-m", job.program, *job.arguments]
             process = subprocess.Popen(
                 [*command, "--out", str(job.folder)],
                 stdout=subprocess.PIPE,
@@ -150,7 +152,7 @@ class RayWorkers:
     def submit(self, job: Job) -> None:
         """Queue a job, with what its folder already holds."""
         scene = Path(job.arguments[job.arguments.index("--scene") + 1]).read_text(encoding="utf-8")
-        self._jobs[self._task.remote(job.arguments, scene, pack(job.folder))] = job
+        self._jobs[self._task.remote(job.program, job.arguments, scene, pack(job.folder))] = job
 
     def next_done(self, timeout: float) -> Done | None:
         """The next finished job, or None after `timeout` seconds."""
@@ -187,15 +189,17 @@ def connect_ray(address: str) -> None:
         raise RunError(f"--ray: {address}: {error}; start the cluster, or use --workers") from None
 
 
-def _run_packed(arguments: Sequence[str], scene: str, packed: bytes) -> tuple[int, str, bytes]:
-    """What a Ray task does: unpack, train, pack."""
+def _run_packed(
+    program: str, arguments: Sequence[str], scene: str, packed: bytes
+) -> tuple[int, str, bytes]:
+    """What a Ray task does: unpack, run, pack."""
     with tempfile.TemporaryDirectory() as folder:
         out, scene_file = Path(folder) / "run", Path(folder) / "scene.json"
         scene_file.write_text(scene, encoding="utf-8")
         unpack(packed, out)
         at = list(arguments).index("--scene")
         arguments = [*arguments[: at + 1], str(scene_file), *arguments[at + 2 :]]
-        command = [sys.executable, "-m", "train.segment", *arguments, "--out", str(out)]
+        command = [sys.executable, "-m", program, *arguments, "--out", str(out)]
         done = subprocess.run(
             command,
             stdout=subprocess.PIPE,

@@ -1,0 +1,56 @@
+"""Verdicts on safety, and on what the paper does not ask: is the learning, or LKH, needed?"""
+
+from __future__ import annotations
+
+from train.reproduction.wording import FAILS, HOLDS, PARTLY, Document, Verdict, interval, percent
+
+
+def safety(doc: Document) -> Verdict | None:
+    """Collision-free flights."""
+    rows = doc["tables"]["policies"]
+    if not rows["n"]:
+        return None
+    text = (
+        f"{rows['successes']} of {rows['n']} missions flown by learned policies pass every check "
+        f"(success rate {percent(rows['share'])}, 95% interval {percent(rows['low'])} to "
+        f"{percent(rows['high'])}), with {rows['contacts']} physics steps in contact."
+    )
+    good = rows["successes"] == rows["n"]
+    return (HOLDS if good else PARTLY if rows["share"] >= 0.5 else FAILS), text, {}
+
+
+def learning(doc: Document) -> Verdict | None:
+    """What the learned trajectories are worth beside planners without learning."""
+    table = doc["tables"]["policy_saving"]
+    law, reference = table["guidance"]["saving"], table["reference"]["saving"]
+    if law["n"] < 2:
+        return None
+    text = (
+        f"Over {law['n']} random scenes in LKH order the policies save {interval(law, digits=2)} "
+        "of the time of the guidance law that they correct."
+    )
+    if reference["n"] > 1:
+        text += (
+            f" Against the reference planner, which knows everything and is near the limit, they "
+            f"save {interval(reference, digits=2)} (negative: they are longer)."
+        )
+    return (HOLDS if law["low"] > 0 else FAILS if law["high"] < 0 else PARTLY), text, {}
+
+
+def aware_order(doc: Document) -> Verdict | None:
+    """Does an order that knows the obstacles beat LKH on straight distances?"""
+    rows = doc["tables"]["time_order_saving"]
+    parts, verdicts = [], []
+    for planner, row in rows.items():
+        if row["saving"]["n"] > 1:
+            verdicts.append(row["saving"]["low"] > 0)
+            parts.append(
+                f"{planner}: {interval(row['saving'], digits=2)} over {row['saving']['n']} scenes, "
+                f"in {row['changed']} of which the order differs"
+            )
+    if not parts:
+        return None
+    text = "Time saved by ordering at obstacle-aware cost instead: " + "; ".join(parts) + "."
+    if any(verdicts):
+        return FAILS, text + " The obstacle-aware order is better.", {}
+    return HOLDS, text + " Straight distances are good enough.", {}

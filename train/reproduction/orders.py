@@ -1,0 +1,145 @@
+"""What the visiting order alone is worth: straight legs, nothing flown.
+
+The bound of an order is the sum of its legs' lower bounds (`mjcollect.bounds`): straight distance,
+stops anywhere in the balls.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+
+from mjcollect.bounds import leg_time, segment_bound
+from mjcollect.geometry import Array
+from mjcollect.scene import Scene
+from mjcollect.tour import legs
+
+MOST = 8  # items of a random instance
+EXTENT, SPACING = 1000.0, 20.0  # m: the paper's cube, and the generator's least distance
+V_MAX, A_MAX, EPSILON = 50.0, 20.0, 5.0  # the paper's
+CHUNK = 2_000
+LARGEST_ENUMERATED = 8
+
+
+def order_bound(scene: Scene, order: tuple[int, ...]) -> float:
+    """Lower bound in s on a mission flown in `order`."""
+    return sum(segment_bound(scene, frm, to) for frm, to in legs(order))
+
+
+def all_bounds(scene: Scene) -> Array:
+    """Bounds (K!,) in s of every order, sorted; K <= 8.
+
+    Raises:
+        ValueError: more items.
+    """
+    count = len(scene.items)
+    if count > LARGEST_ENUMERATED:
+        raise ValueError(f"items: {count}: at most {LARGEST_ENUMERATED} are enumerated")
+    cost = np.array(
+        [[segment_bound(scene, frm, to) for to in range(-1, count)] for frm in range(-1, count)]
+    )
+    orders = np.array(list(itertools.permutations(range(1, count + 1))))
+    depot = np.zeros((len(orders), 1), dtype=int)
+    stops = np.hstack([depot, orders, depot])
+    return np.sort(cost[stops[:, :-1], stops[:, 1:]].sum(axis=1))
+
+
+def spread(scene: Scene) -> dict[str, float]:
+    """How the bounds of all orders of a scene are spread, in s."""
+    bounds = all_bounds(scene)
+    low, high = np.percentile(bounds, [5, 95])
+    return {
+        "best": float(bounds[0]),
+        "mean": float(bounds.mean()),
+        "p5": float(low),
+        "p95": float(high),
+        "worst": float(bounds[-1]),
+    }
+
+
+def share_saving(scene: Scene, least: float) -> float:
+    """Share of all orders against which the best saves at least the share `least` of the time."""
+    bounds = all_bounds(scene)
+    return float(np.mean(1.0 - bounds[0] / bounds >= least - 1e-12))
+
+
+def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:
+    """Random instances: K items uniform in the cube, a random order against the best one.
+
+    An instance's item sets are nested, K = 1 to 8, as in the paper's sweep. Those with items
+    nearer than 20 m to each other or to the depot are left out.
+
+    Returns:
+        For each K: mean ratio of random to best, saving (mean, 5th and 95th percentile); for
+        K = 8 also a histogram and the share that saves at least `paper_saving`; and by how much
+        the best bound rises from K = 6 to 8.
+    """
+    rng = np.random.default_rng(seed)
+    best, drawn = [], []
+    for begin in range(0, instances, CHUNK):
+        points = rng.uniform(0.0, EXTENT, (min(CHUNK, instances - begin), MOST + 1, 3))
+        points[:, 0] = 0.0
+        far = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+        far += np.where(np.eye(MOST + 1, dtype=bool), np.inf, 0.0)
+        points = points[far.min(axis=(1, 2)) >= SPACING]
+        cost = leg_costs(points)
+        best.append(nested_best(cost))
+        drawn.append(nested_given(cost))
+    least, given = np.concatenate(best), np.concatenate(drawn)
+    saving = 1.0 - least / given
+    counts, edges = np.histogram(saving[:, -1], bins=np.linspace(0.0, 0.6, 61))
+    rise = least[:, MOST - 1] - least[:, MOST - 3]
+    by_items = [
+        {
+            "items": k + 1,
+            "ratio": float((given[:, k] / least[:, k]).mean()),
+            "saving": float(saving[:, k].mean()),
+            "p5": float(np.percentile(saving[:, k], 5)),
+            "p95": float(np.percentile(saving[:, k], 95)),
+        }
+        for k in range(MOST)
+    ]
+    return {
+        "instances": len(least),
+        "seed": seed,
+        "items": by_items,
+        "paper_saving": paper_saving,
+        "share_paper_saving": float(np.mean(saving[:, -1] >= paper_saving)),
+        "histogram": {"edges": edges.tolist(), "counts": counts.tolist()},
+        "rise_6_to_8": {"least": float(rise.min()), "mean": float(rise.mean())},
+    }
+
+
+def leg_costs(points: Array) -> Array:
+    """Leg bounds (B, N, N) in s between points (B, N, 3), depot first; see `segment_bound`."""
+    distance = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
+    slack = np.full(distance.shape[1:], 2 * EPSILON)
+    slack[0, :] = EPSILON
+    return leg_time(np.maximum(distance - slack, 0.0), V_MAX, A_MAX)
+
+
+def nested_given(cost: Array) -> Array:
+    """Bounds (B, K) of the tours of the first 1..K items in file order, which is a random one."""
+    count = cost.shape[1] - 1
+    index = np.arange(count)
+    between = np.cumsum(cost[:, index, index + 1], axis=1)
+    return np.asarray(between + cost[:, index + 1, 0])
+
+
+def nested_best(cost: Array) -> Array:
+    """The same of the best tours: Held and Karp's programme, for all instances at once."""
+    batch, count = len(cost), cost.shape[1] - 1
+    best = np.full((1 << count, batch, count), np.inf)  # [visited][instance, last]
+    for item in range(count):
+        best[1 << item, :, item] = cost[:, 0, item + 1]
+    between = cost[:, 1:, 1:]
+    for visited in range(1, 1 << count):
+        for item in range(count):
+            if not visited >> item & 1:
+                ways = (best[visited] + between[:, :, item]).min(axis=1)
+                best[visited | 1 << item, :, item] = ways
+    home = cost[:, 1:, 0]
+    done = [best[(2 << k) - 1, :, : k + 1] + home[:, : k + 1] for k in range(count)]
+    return np.stack([ways.min(axis=1) for ways in done], axis=1)

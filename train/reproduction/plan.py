@@ -1,0 +1,182 @@
+"""What is flown: cells, each one flight, and what each is used for.
+
+A cell is a scene, a visiting order, a planner and, for learned policies, a training seed. Methods
+that give the same order share a cell, and so do scenes that differ only in their name.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mjcollect.generate import generate
+from mjcollect.scene import Scene
+from mjcollect.tour import plan_order
+from train.reproduction.paper import RANDOM_ORDERS
+
+PLANNERS = ("policy", "mpc", "guidance", "reference")
+PARTS = ("scenarios", "sweep", "random")
+ABLATION = ("random", "lkh", "lkh-time")  # orders flown over the random scenes
+Order = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is flown.
+
+    Attributes:
+        training_seeds: of the policies in scenarios 1 and 2; elsewhere one.
+        sweep: values of K.
+        floating, city: numbers of random scenes. items: K of each. first_scene: their first seed.
+        instances: random instances whose orders are compared without flying.
+    """
+
+    training_seeds: int = 3
+    sweep: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
+    floating: int = 20
+    city: int = 6
+    items: int = 8
+    first_scene: int = 7000
+    instances: int = 20_000
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One flight.
+
+    Attributes:
+        scene: key in `Plan.scenes`. seed: of the training; 0 where nothing is trained.
+    """
+
+    scene: str
+    order: Order
+    planner: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Readable and unique within a plan; the cell's folder."""
+        trained = f"-seed{self.seed}" if self.planner == "policy" else ""
+        return f"{self.scene}-{self.planner}-{'.'.join(map(str, self.order))}{trained}"
+
+
+@dataclass(frozen=True)
+class Use:
+    """A place in a table that a cell fills.
+
+    Attributes:
+        part: scenarios, sweep or random. scene: the scene's label there, such as sweep_4.
+        method: how the order was found: lkh, lkh-time, random or given.
+        seed: training seed. cell: name of the cell.
+    """
+
+    part: str
+    scene: str
+    method: str
+    planner: str
+    seed: int
+    cell: str
+
+
+@dataclass
+class Plan:
+    """Scenes by label, cells by name, and their uses in the order of the tables."""
+
+    scenes: dict[str, Scene] = field(default_factory=dict)
+    cells: dict[str, Cell] = field(default_factory=dict)
+    uses: list[Use] = field(default_factory=list)
+    _known: dict[str, str] = field(default_factory=dict)  # content -> label
+
+    def add_scene(self, label: str, scene: Scene) -> str:
+        """Add a scene unless one with the same content is there; the label it is flown under."""
+        flown = self._known.setdefault(content(scene), label)
+        self.scenes.setdefault(flown, scene)
+        return flown
+
+    def add(
+        self, part: str, label: str, scene: Scene, methods: Mapping[str, Order],
+        schemes: Sequence[tuple[str, str]], seeds: Sequence[int],
+    ) -> None:  # fmt: skip
+        """Add one use for each scheme (order method, planner) and, if it learns, training seed."""
+        flown = self.add_scene(label, scene)
+        for method, planner in schemes:
+            if method not in methods:
+                continue
+            for seed in seeds if planner == "policy" else [0]:
+                cell = Cell(flown, methods[method], planner, seed)
+                self.cells.setdefault(cell.name, cell)
+                self.uses.append(Use(part, label, method, planner, seed, cell.name))
+
+
+def content(scene: Scene) -> str:
+    """The scene but for its name and seed, as text."""
+    entries = scene.to_dict()
+    return json.dumps({key: entries[key] for key in entries if key not in ("name", "seed")})
+
+
+def first_items(scene: Scene, count: int) -> Scene:
+    """The same scene with its first `count` items only."""
+    return replace(scene, name=f"{scene.name}_K{count}", items=np.array(scene.items[:count]))
+
+
+def random_scenes(sizes: Sizes) -> dict[str, Scene]:
+    """The generated scenes by label."""
+    counts = (("floating", sizes.floating), ("city", sizes.city))
+    made = [
+        generate(sizes.first_scene + number, sizes.items, layout=layout)
+        for layout, count in counts
+        for number in range(count)
+    ]
+    return {scene.slug: scene for scene in made}
+
+
+def sweep_random_order(count: int) -> Order:
+    """Order of the sweep without LKH: the look-alike's for K = 4 and 8, else its first K items."""
+    if count == 4:
+        return RANDOM_ORDERS["scenario_2"]
+    order = [item for item in RANDOM_ORDERS["sweep_8"] if item < count]
+    if count < 3:  # one tour only; flown in its usual direction
+        order.sort()
+    return tuple(order)
+
+
+def make_plan(sizes: Sizes, seed: int, time_orders: Mapping[str, Order]) -> Plan:
+    """Everything the page shows.
+
+    Args:
+        seed: training seeds and random orders count up from it.
+        time_orders: LKH's order at obstacle-aware cost by label of the random scenes; scenes that
+            are missing go without.
+    """
+    plan = Plan()
+    learnt = [(method, "policy") for method in ("lkh", "random")]
+    peers = [("given", "mpc"), ("random", "mpc"), ("lkh", "mpc")]
+    peers += [(method, name) for name in PLANNERS[2:] for method in ("random", "lkh")]
+    seeds = range(seed, seed + sizes.training_seeds)
+    for label in ("scenario_1", "scenario_2"):
+        scene = Scene.find(label)
+        orders = _orders(scene, RANDOM_ORDERS[label])
+        plan.add("scenarios", label, scene, orders, [*learnt, *peers], seeds)
+    whole = Scene.find("sweep_8")
+    for count in sizes.sweep:
+        scene = first_items(whole, count)
+        orders = _orders(scene, sweep_random_order(count))
+        plan.add("sweep", f"sweep_{count}", scene, orders, [*learnt, *peers], [seed])
+    ablation = [(method, planner) for planner in PLANNERS for method in ABLATION]
+    for label, scene in random_scenes(sizes).items():
+        orders = _orders(scene, plan_order(scene, "random", seed=seed + scene.seed))
+        if label in time_orders:
+            orders["lkh-time"] = time_orders[label]
+        plan.add("random", label, scene, orders, ablation, [seed])
+    return plan
+
+
+def _orders(scene: Scene, drawn: Order) -> dict[str, Order]:
+    return {
+        "lkh": plan_order(scene, "lkh"),
+        "random": drawn,
+        "given": tuple(range(len(scene.items))),
+    }
