@@ -77,14 +77,7 @@ def plot_path_3d(
     figure = new_figure(12, 10)
     axes: Any = figure.add_axes((0.0, 0.02, 0.86, 0.93), projection="3d", computed_zorder=False)
     low, high = _window(scene, trajectory, done, segment, guidance_path)
-    for box in _clipped(scene.obstacles, low, high):
-        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        axes.add_collection3d(
-            Poly3DCollection(
-                corners[BOX_FACES], facecolor="#8899AA", edgecolor="#5A6672", alpha=0.16,
-                linewidth=0.5, zorder=1,
-            )
-        )  # fmt: skip
+    draw_boxes_3d(axes, _clipped(scene.obstacles, low, high))
     pieces, speed = _pieces(trajectory)
     shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
     axes.add_collection3d(
@@ -139,16 +132,7 @@ def plot_path_top(
     figure = new_figure(12, 10)
     axes = figure.add_axes((0.075, 0.085, 0.76, 0.83))
     low, high = _window(scene, trajectory, done, segment, guidance_path)
-    floor, ceiling = scene.bounds[:, 2]
-    for box in sorted(scene.obstacles, key=lambda box: float(box[1, 2])):
-        shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
-        width, depth = (box[1] - box[0])[:2]
-        axes.add_patch(
-            Rectangle(
-                (box[0, 0], box[0, 1]), width, depth, facecolor=str(shade), edgecolor="#5A6672",
-                alpha=0.75, linewidth=0.8, zorder=1,
-            )
-        )  # fmt: skip
+    draw_boxes_top(axes, scene)
     _box_heights(axes, scene, trajectory, low, high)
     pieces, speed = _pieces(trajectory)
     flat = list(pieces[..., :2])
@@ -198,6 +182,32 @@ def _by_speed(scene: Scene) -> dict[str, Any]:
 def _label(node: int, order: Sequence[int]) -> str:
     """'item 3 · stop 2': index and place in the visiting order."""
     return "depot" if node < 0 else f"item {node} · stop {list(order).index(node) + 1}"
+
+
+def draw_boxes_3d(axes: Any, boxes: Array) -> None:
+    """Draw boxes (M, 2, 3) in three dimensions."""
+    for box in boxes:
+        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
+        axes.add_collection3d(
+            Poly3DCollection(
+                corners[BOX_FACES], facecolor="#8899AA", edgecolor="#5A6672", alpha=0.16,
+                linewidth=0.5, zorder=1,
+            )
+        )  # fmt: skip
+
+
+def draw_boxes_top(axes: Any, scene: Scene) -> None:
+    """Draw a scene's boxes from above, darker the higher their tops."""
+    floor, ceiling = scene.bounds[:, 2]
+    for box in sorted(scene.obstacles, key=lambda box: float(box[1, 2])):
+        shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
+        width, depth = (box[1] - box[0])[:2]
+        axes.add_patch(
+            Rectangle(
+                (box[0, 0], box[0, 1]), width, depth, facecolor=str(shade), edgecolor="#5A6672",
+                alpha=0.75, linewidth=0.8, zorder=1,
+            )
+        )  # fmt: skip
 
 
 def _pieces(trajectory: Trajectory, most: int = 1500) -> tuple[Array, Array]:

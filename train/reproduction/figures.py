@@ -1,0 +1,158 @@
+"""Charts of the tables: time against K, the ablation, the saving by ordering."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, figure, save
+from train.reproduction.paper import DDPG, LKH_DDPG, MPC, SCHEMES, SWEEP
+from train.reproduction.plan import ABLATION, PLANNERS
+from train.reproduction.wording import percent
+
+PURPLE = "#CC79A7"
+GREY = "#C9CFD6"
+ORDER_NAMES = {"random": "random order", "lkh": "LKH", "lkh-time": "LKH, obstacle-aware cost"}
+PLANNER_NAMES = {"policy": "DDPG", "mpc": "MPC", "guidance": "guidance law",
+                 "reference": "reference"}  # fmt: skip
+SWEEP_LINES: list[tuple[tuple[str, str], str, str]] = [
+    (LKH_DDPG, GREEN, "o"),
+    (DDPG, BLUE, "s"),
+    (MPC, RED, "^"),
+    (("lkh", "mpc"), ORANGE, "v"),
+    (("lkh", "reference"), BLACK, "D"),
+]
+Document = Mapping[str, Any]
+
+
+def plot_sweep(path: Path, doc: Document) -> Figure:
+    """Mission time against K beside the paper's points; the range of all orders' bounds behind."""
+    made = figure(11, 7)
+    axes: Any = made.add_axes((0.08, 0.1, 0.89, 0.82))
+    entries = doc["tables"]["sweep"]
+    spread = {entry["items"]: doc["spreads"][f"sweep_{entry['items']}"] for entry in entries}
+    items = sorted(spread)
+    axes.fill_between(
+        items, [spread[k]["p5"] for k in items], [spread[k]["p95"] for k in items], color=GREY,
+        alpha=0.5, linewidth=0, label="bounds of all orders, 5th to 95th percentile",
+    )  # fmt: skip
+    axes.plot(items, [spread[k]["best"] for k in items], color="#777777", linestyle=":",
+              label="bound of the best order")  # fmt: skip
+    for which, colour, marker in SWEEP_LINES:
+        rows = [(entry["items"], row["time"]["mean"]) for entry in entries
+                for row in entry["schemes"]
+                if (row["method"], row["planner"]) == which and row["time"]["n"]]  # fmt: skip
+        if rows:
+            axes.plot(*zip(*rows, strict=True), color=colour, marker=marker, markersize=6,
+                      linewidth=1.8, label=scheme_name(*which))  # fmt: skip
+        for number, (k, (low, high)) in enumerate(SWEEP.get(which, {}).items()):
+            label = f"{SCHEMES[which]}, paper" if number == 0 else None
+            axes.errorbar(
+                k, (low + high) / 2, yerr=(high - low) / 2 or None, color=colour, marker=marker,
+                markersize=10, markerfacecolor="none", markeredgewidth=1.6, capsize=4,
+                linestyle="", label=label,
+            )  # fmt: skip
+    axes.set_xlabel("number of items K", **LABEL)
+    axes.set_ylabel("mission time (s)", **LABEL)
+    axes.set_xticks(range(1, 9))
+    axes.set_ylim(bottom=0)
+    _plain(axes)
+    axes.legend(frameon=False, fontsize=9.5)
+    made.suptitle("Mission time against K: look-alike scene, paper's points hollow", fontsize=13)
+    save(made, path)
+    return made
+
+
+def plot_ablation(path: Path, doc: Document) -> Figure:
+    """Mean time over the lower bound for each order and planner, with 95% intervals."""
+    made = figure(11, 6.5)
+    axes: Any = made.add_axes((0.08, 0.11, 0.89, 0.78))
+    rows = {(row["planner"], row["method"]): row for row in doc["tables"]["random"]
+            if row["layout"] == "all" and row["ratio"]["n"]}  # fmt: skip
+    planners = [planner for planner in PLANNERS if any(key[0] == planner for key in rows)]
+    width = 0.8 / len(ABLATION)
+    for number, (method, colour) in enumerate(zip(ABLATION, (BLUE, GREEN, ORANGE), strict=True)):
+        there = [k for k, planner in enumerate(planners) if (planner, method) in rows]
+        ratios = [rows[planners[k], method]["ratio"] for k in there]
+        places = [k + (number - 1) * width for k in there]
+        errors = [0.0 if r["low"] is None else r["mean"] - r["low"] for r in ratios]
+        means = [ratio["mean"] for ratio in ratios]
+        axes.bar(places, means, 0.92 * width, yerr=errors, capsize=3, color=colour,
+                 label=ORDER_NAMES[method], error_kw={"linewidth": 1.1})  # fmt: skip
+        for place, mean, error in zip(places, means, errors, strict=True):
+            axes.annotate(f"{mean:.3f}", (place, mean + error), xytext=(0, 3), ha="center",
+                          textcoords="offset points", size=9)  # fmt: skip
+    axes.axhline(1.0, color=BLACK, linewidth=0.9)
+    axes.set_xticks(range(len(planners)), [PLANNER_NAMES[planner] for planner in planners])
+    axes.set_ylabel("mission time / lower bound", **LABEL)
+    axes.set_ylim(bottom=0.9)
+    _plain(axes)
+    axes.legend(frameon=False, ncol=3, loc="upper right", bbox_to_anchor=(1.0, 1.08))
+    scenes = len(dict.fromkeys(u["scene"] for u in doc["uses"] if u["part"] == "random"))
+    made.suptitle(f"Order and planner over {scenes} random scenes, 95% intervals", fontsize=13)
+    save(made, path)
+    return made
+
+
+def plot_savings(path: Path, doc: Document) -> Figure:
+    """Share of the time that the best order saves: computed distribution, and flown scenes."""
+    made = figure(11, 6.5)
+    axes: Any = made.add_axes((0.08, 0.11, 0.89, 0.78))
+    orders = doc["orders"]
+    edges = 100 * np.array(orders["histogram"]["edges"])
+    counts = np.array(orders["histogram"]["counts"])
+    shares = 100 * counts / counts.sum()
+    axes.stairs(shares, edges, fill=True, color=GREY,
+                label=f"{orders['instances']} random instances, K = 8, straight legs")  # fmt: skip
+    top = float(shares.max())
+    colours = (GREEN, RED, PURPLE, BLACK)
+    items = doc["sizes"]["items"]
+    for number, (planner, colour) in enumerate(zip(PLANNERS, colours, strict=True)):
+        pair = doc["tables"]["order_saving"][planner]
+        if pair["savings"]:
+            level = -0.07 * top * (number + 1)
+            axes.plot(100 * np.array(pair["savings"]), np.full(len(pair["savings"]), level), "|",
+                      color=colour, markersize=13, markeredgewidth=1.6,
+                      label=f"flown: {PLANNER_NAMES[planner]}, K = {items}")  # fmt: skip
+    paper = 100 * orders["paper_saving"]
+    axes.axvline(paper, color=RED, linestyle="--", linewidth=1.4)
+    text = (f"paper, K = 8: {paper:.1f}%\n"
+            f"({percent(orders['share_paper_saving'], 2)} of instances save as much)")  # fmt: skip
+    axes.annotate(text, (paper, 0.75 * top), xytext=(6, 0), textcoords="offset points", color=RED,
+                  size=10)  # fmt: skip
+    axes.axhline(0, color=BLACK, linewidth=0.8)
+    axes.set_xlabel("saving of LKH over a random order (%)", **LABEL)
+    axes.set_ylabel("share of instances (%)", **LABEL)
+    axes.set_ylim(-0.36 * top, 1.08 * top)
+    axes.set_yticks([tick for tick in axes.get_yticks() if 0 <= tick <= 1.08 * top])
+    _plain(axes)
+    axes.legend(frameon=False, fontsize=9.5, loc="upper left")
+    made.suptitle("Saving by ordering", fontsize=13)
+    save(made, path)
+    return made
+
+
+def scheme_name(method: str, planner: str) -> str:
+    """'LKH-DDPG' where the paper has a name, else such as 'MPC, LKH'."""
+    named = {**SCHEMES, MPC: "MPC, file order"}
+    if (method, planner) in named:
+        return named[method, planner]
+    order = {**ORDER_NAMES, "given": "file order"}[method]
+    return f"{PLANNER_NAMES[planner]}, {order}"
+
+
+def figure_names(scenarios: Sequence[str]) -> dict[str, str]:
+    """File names by what they show."""
+    flights = {scene: f"schemes_{scene}.png" for scene in scenarios}
+    return {**flights, "sweep": "sweep.png", "ablation": "ablation.png", "savings": "savings.png"}
+
+
+def _plain(axes: Any) -> None:
+    axes.grid(color="#E3E3E3", linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=9.5)
