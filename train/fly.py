@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from mjcollect.course import Course
 from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.reference import NoFlight, Reference
 from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law, record
@@ -36,9 +37,9 @@ class Args:
     """Folder of a finished train.mission run, whose policies fly."""
     scene: str | None = None
     """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
-    planner: Literal["policy", "mpc", "guidance"] = "policy"
-    """policy: the run's trained policies. mpc: model predictive control. guidance: the law with no
-    learning."""
+    planner: Literal["policy", "mpc", "reference", "guidance"] = "policy"
+    """policy: the run's trained policies. mpc: model predictive control. reference: the whole
+    mission planned ahead in the fewest slots. guidance: the law with no learning."""
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
@@ -60,14 +61,15 @@ def fly_mission(args: Args) -> int:
     """Fly, judge, draw. Raises only before anything is written."""
     if args.run is None and args.scene is None:
         raise RunError(
-            "give --run DIR of a finished mission, or --scene FILE with --planner mpc or guidance"
+            "give --run DIR of a finished mission, or --scene FILE with --planner mpc, reference "
+            "or guidance"
         )
     if args.seed is not None and args.seed < 0:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.run is None and args.planner == "policy":
         raise RunError(
             "--planner: policy: needs --run DIR with trained policies; train some with python -m "
-            "train.mission, or give --planner mpc or guidance"
+            "train.mission, or give --planner mpc, reference or guidance"
         )
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
@@ -101,6 +103,12 @@ def fly_mission(args: Args) -> int:
         planner = Mpc(course)
         flight = record(course, lambda _, task: planner.action(task.episodes))
         notes.append(planner.summary())
+        say(notes[0])
+    elif args.planner == "reference":
+        reference = _planned(course)
+        folder.create(config, scene, overwrite=args.overwrite)
+        flight = record(course, lambda _, task: reference.action(task.episodes))
+        notes.append(reference.summary())
         say(notes[0])
     else:
         folder.create(config, scene, overwrite=args.overwrite)
@@ -157,6 +165,20 @@ def scene_difference(one: Scene, two: Scene) -> str | None:
             return f"{field} has {len(second[field])} entries, not {len(value)}"
         return f"{field} is {second[field]}, not {value}"
     return None
+
+
+def _planned(course: Course) -> Reference:
+    """The reference, its planning done.
+
+    Raises:
+        RunError: it finds no flight.
+    """
+    reference = Reference(course, tell=say)
+    try:
+        reference.plan()
+    except NoFlight as error:
+        raise RunError(str(error)) from None
+    return reference
 
 
 def _load(path: Path) -> TrainedPolicy:

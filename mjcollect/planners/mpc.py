@@ -9,19 +9,25 @@ shortest path. Spare time in the last slot goes into a stop nearer to the next t
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mjcollect.course import Course
-from mjcollect.episode import Episodes
 from mjcollect.flight import World
 from mjcollect.geometry import Array, segment_clear
-from mjcollect.guidance import path_length
+from mjcollect.guidance import Guidance
+from mjcollect.paths import path_length
 from mjcollect.planners.plan import Plan, is_flyable
 from mjcollect.planners.program import COMFORT, Program
 from mjcollect.reward import time_to_go
+from mjcollect.scene import Scene
+
+if TYPE_CHECKING:
+    from mjcollect.episode import Episodes
 
 HORIZON = 25  # slots
 LEAD = 40.0  # metres from a plan's end to the carrot on the path ahead of it, at most
@@ -32,6 +38,18 @@ ROUNDS = 6  # of solving anew round the last solution where there is no plan yet
 SETTLED = 0.5  # metres by which a round's end moves when nothing more is to be gained
 TRIES = 3  # numbers of slots tried in a decision
 INSIDE = 1e-3  # metres of the tolerance kept in reserve
+
+
+class Guided(Protocol):
+    """What is flown: a `Course`, or a part of one."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+
+    @property
+    def guidance(self) -> Sequence[Guidance]:
+        """One for each target."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +81,18 @@ class Mpc:
             want of any plan); `refused` counts solutions that the rules of flight refuse.
     """
 
-    def __init__(self, course: Course, horizon: int = HORIZON, look_past: bool = True) -> None:
+    def __init__(
+        self,
+        course: Guided,
+        horizon: int = HORIZON,
+        look_past: bool = True,
+        body: float | None = None,
+    ) -> None:
         """Prepare for `course`.
 
         Args:
             horizon: slots planned. look_past: within its ball, stop as near to the next target as
-                the time allows.
+                the time allows. body: metres to keep from boxes, if more than the UAV's radius.
 
         Raises:
             ValueError: the horizon is too short.
@@ -77,7 +101,10 @@ class Mpc:
             raise ValueError(f"horizon: {horizon}: must be at least 2 slots")
         self._course, self._horizon, self._look_past = course, horizon, look_past
         self._world = World.stack([course.scene])
-        self._program = Program(course.scene)
+        scene = course.scene
+        if body is not None:
+            scene = dataclasses.replace(scene, uav_radius=max(body, scene.uav_radius))
+        self._program = Program(scene)
         self._plan: Plan | None = None
         self._target = -1
         self.counts: Counter[str] = Counter()

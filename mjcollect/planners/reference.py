@@ -18,7 +18,8 @@ import numpy as np
 from mjcollect.course import Course
 from mjcollect.episode import Episodes
 from mjcollect.geometry import Array, segment_clear
-from mjcollect.planners.allotment import Allotments, Slots
+from mjcollect.paths import path_length
+from mjcollect.planners.allotment import Allotments, Slots, least_slots
 from mjcollect.planners.mpc import INSIDE, Mpc
 from mjcollect.planners.program import COMFORT
 from mjcollect.planners.rehearsal import Rehearsal, rehearse
@@ -126,7 +127,10 @@ class Reference:
         """A flight along the shortest ways, in more slots than are needed."""
         guides = self._course.guidance
         for spare in SPARE:
-            paths = [guess(guide.path, self._scene, spare) for guide in guides]
+            paths = []
+            for guide in guides:
+                slots = max(least_slots(self._scene, spare * path_length(guide.path)), 2)
+                paths.append(guess(guide.path, self._scene, slots))
             flight = self._attempt(paths)
             if flight is not None:
                 return flight
@@ -168,8 +172,8 @@ class Reference:
             guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
             firsts = [path]
             if not segment_clear(path[0], path[-1], scene.obstacles, scene.uav_radius):
-                firsts += [guess(guided, self._scene), guess(path[[0, -1]], self._scene)]
-            found = [explore(self._program, self._scene, first) for first in firsts]
+                firsts += [guess(way, scene, len(path) - 1) for way in (guided, path[[0, -1]])]
+            found = [explore(scene, first, self._solver) for first in firsts]
             ways.append(min(found, key=lambda way: way.length))
         return ways
 

@@ -7,22 +7,23 @@ stops short of the end, and by more than the length alone explains.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
 from mjcollect.geometry import Array, segment_clear
 from mjcollect.paths import path_length, tighten
-from mjcollect.planners.allotment import Route, least_slots, reach
-from mjcollect.planners.program import COMFORT, Program
+from mjcollect.planners.allotment import Route, reach
+from mjcollect.planners.program import COMFORT
+from mjcollect.planners.tour_program import TourProgram
 from mjcollect.scene import Scene
 
 SOFT_ROUNDS = 8  # of solving anew while boxes are overlapped
 ROUNDS = 6  # and then
 SETTLED = 1e-2  # metres by which a round must come nearer, else it is the last
-REACHED = 1e-2  # metres from the end that count as having reached it
-GENTLE = 1.1  # lengths of a way in place of one, for the number of slots first tried
-TOLD = 3  # numbers of slots for which the solver may fail before a way is given up
+NEAR = 0.5  # metres from a leg's end at which it is reached
+REACHED = 1e-2  # metres beyond that, for the solver's tolerance
 SHAPE = 0.1  # metres beyond the body's radius that the tight shape keeps from boxes
 
 
@@ -52,14 +53,11 @@ def fitted(path: Array, slots: int, begin: Array, end: Array) -> Array:
     return np.asarray(path + (1 - share) * (begin - path[0]) + share * (end - path[-1]))
 
 
-def guess(way: Array, scene: Scene, spare: float = GENTLE) -> Array:
-    """Positions (M + 1, 3) of a motion from rest to rest along a polyline (P, 3).
-
-    In as many slots as a way `spare` times as long takes.
-    """
+def guess(way: Array, scene: Scene, slots: int) -> Array:
+    """Positions (slots + 1, 3) of a motion from rest to rest along a polyline (P, 3)."""
     marks = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    slots = max(least_slots(scene, spare * marks[-1]), 2)
-    ramp = scene.a_max * scene.slot * np.minimum(np.arange(slots + 1), slots - np.arange(slots + 1))
+    k = np.arange(slots + 1)
+    ramp = scene.a_max * scene.slot * np.minimum(k, slots - k)
     covered = np.cumsum(np.minimum(ramp, scene.v_max))
     return _between(way, marks, covered * (marks[-1] / covered[-1]))
 
@@ -68,51 +66,48 @@ def _between(points: Array, marks: Array, at: Array) -> Array:
     return np.stack([np.interp(at, marks, points[:, axis]) for axis in range(3)], axis=-1)
 
 
-def explore(program: Program, scene: Scene, path: Array) -> Way:
-    """The way that grows out of a motion `path` (M + 1, 3).
+def explore(scene: Scene, path: Array, statuses: Counter[str]) -> Way:
+    """The way that grows out of a motion `path` (M + 1, 3); counts the solver's statuses.
 
     The path may be a first guess, through boxes perhaps. Of a way along which no motion is found,
     the length is infinite.
     """
-    begin, end, flown = path[0], path[-1], None
+    begin, end, short = path[0], path[-1], 0.0
+    flown: Array | None = None
     if segment_clear(begin, end, scene.obstacles, scene.uav_radius + SHAPE):
         return Way(Route(np.empty((0, 3)), 0.0), path, float(np.linalg.norm(end - begin)))
+    program = TourProgram(scene, [(end, NEAR)])
     for slots in range(len(path) - 1, 1, -1):
-        nearer = _reach_out(program, resample(path, slots), end)
-        if nearer is None and (flown is not None or slots < len(path) - TOLD):
+        nearer, missed = _reach_out(program, resample(path, slots))
+        if nearer is None:
             break
-        if nearer is not None:
-            path = flown = nearer
-            if np.linalg.norm(path[-1] - end) > REACHED:
-                break
+        path, flown, short = nearer, nearer, missed
+        if short > REACHED:
+            break
+    statuses.update(program.statuses)
     whole = np.concatenate([path, end[None]])
     tight = tighten(whole, scene.obstacles, scene.uav_radius + SHAPE)
     length = path_length(tight)
     if flown is None:
         return Way(Route(tight[1:-1], 0.0), path, np.inf)
-    short = float(np.linalg.norm(end - flown[-1]))
-    toll = max(0.0, short + reach(scene, len(flown) - 1) - length)
+    toll = max(0.0, short + NEAR + reach(scene, len(flown) - 1) - length)
     return Way(Route(tight[1:-1], toll), flown, length + toll)
 
 
-def _reach_out(program: Program, path: Array, end: Array) -> Array | None:
-    """Positions of the motion near `path`, in as many slots, that ends nearest to `end` (3,)."""
-    elastic, best, rounds = True, np.inf, 0
-    found = None
-    for _ in range(SOFT_ROUNDS + ROUNDS):
-        solution = program.solve(np.zeros(3), path, end, None, elastic)
-        if solution is None:
+def _reach_out(program: TourProgram, path: Array) -> tuple[Array | None, float]:
+    """Positions of the motion near `path`, in as many slots, that misses the ball least; m."""
+    elastic, found, best = True, None, np.inf
+    for number in range(SOFT_ROUNDS + ROUNDS):
+        motion = program.best([path], elastic)
+        if motion is None:
             break
-        path = solution.q
+        path, short = motion.legs[0], float(motion.misses[0])
         if elastic:
-            elastic = solution.slack > COMFORT
-            rounds += elastic
-            if rounds > SOFT_ROUNDS:
+            elastic = motion.slack > COMFORT
+            if elastic and number >= SOFT_ROUNDS:
                 break
             continue
-        found = path
-        short = float(np.linalg.norm(path[-1] - end))
-        if short > best - SETTLED or short < REACHED:
+        gained, found, best = best - short, path, short
+        if gained < SETTLED or short < REACHED:
             break
-        best = short
-    return found
+    return found, best

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 
 import clarabel
 import numpy as np
+from numpy.typing import NDArray
 
 from mjcollect.geometry import Array
-from mjcollect.planners.cones import Rows, within
+from mjcollect.planners.cones import Rows, settings, within
 from mjcollect.planners.program import ELASTIC_COST, PROXIMITY_COST, Program
 from mjcollect.scene import Scene
 
+GAP = 1e-6  # absolute and relative, at which a solution is good enough
 LATE = 1e-3  # share beyond a_max slot: a speed from which one slot surely cannot stop
 
 
@@ -44,6 +46,14 @@ class TourProgram(Program):
     def __init__(self, scene: Scene, balls: Sequence[tuple[Array, float]]) -> None:
         """Programs for missions that stop in `balls` in turn: centre (3,) and radius in m."""
         super().__init__(scene)
+        # Long legs at walls are badly conditioned: what fails is tried again with other settings.
+        self._ways = [settings() for _ in range(3)]
+        for way in self._ways:
+            way.tol_gap_abs = way.tol_gap_rel = GAP
+        _, refined, plain = self._ways
+        refined.iterative_refinement_max_iter = 50
+        refined.iterative_refinement_reltol = refined.iterative_refinement_abstol = 1e-14
+        plain.equilibrate_enable = False
         self._balls = balls
 
     def best(self, paths: Sequence[Array], elastic: bool) -> Motion | None:
@@ -89,8 +99,20 @@ class TourProgram(Program):
             slack=float(z[at_slack].max()),
         )
 
+    def _solve(self, rows: Rows, cost: Array, fixed: Array, at_v: NDArray[np.intp]) -> Array | None:
+        for chosen in self._ways:
+            self._settings, before = chosen, self._infeasible
+            z = super()._solve(rows, cost, fixed, at_v)
+            if z is not None or self._infeasible > before:
+                return z
+        return None
+
+    @property
+    def _infeasible(self) -> int:
+        return self.statuses["PrimalInfeasible"] + self.statuses["AlmostPrimalInfeasible"]
+
     def _stop_late(
-        self, rows: Rows, at_v: np.ndarray, paths: Sequence[Array], ends: np.ndarray
+        self, rows: Rows, at_v: NDArray[np.intp], paths: Sequence[Array], ends: NDArray[np.intp]
     ) -> None:
         """Two slots before a stop, too fast for the rule of collection to stop the body there."""
         fast = self._scene.a_max * self._scene.slot * (1 + LATE)
