@@ -14,6 +14,7 @@ from mjcollect.bounds import detour_bound
 from mjcollect.compiled import plain
 from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance
+from mjcollect.racing_line import racing_line
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
 
@@ -72,7 +73,11 @@ class Course:
         beyond = None if after is None else self.scene.point(after)
         leg = self.scene, to, self.scene.point(frm), beyond
         saved = None if self.folder is None else guidance_file.load(self.folder, *leg)
-        return Guidance(*leg) if saved is None else saved
+        if saved is not None:
+            return saved
+        guide = Guidance(*leg)
+        guide.way = guide.way._replace(line=racing_line(guide))
+        return guide
 
     def save_guidance(self, folder: Path) -> None:
         """Write the guidance into files in `folder`, for a course of the same legs to load.

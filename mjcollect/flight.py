@@ -113,6 +113,19 @@ def resting_point(world: World, q: Array, v: Array) -> Array:
     return q + v * (world.slot * (n - 1) / (2 * n))
 
 
+def slot_path(world: World, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    """Positions (N, n + 1, 3), the first is q, and last velocities (N, 3) of a slot.
+
+    MuJoCo's semi-implicit Euler, eq. (2)-(3), for a body that touches nothing.
+
+    Args:
+        q, v, a: (N, 3) position, velocity and the acceleration held.
+    """
+    speeds = v[:, None] + a[:, None] * world.step * np.arange(1, world.substeps + 1)[:, None]
+    path = q[:, None] + np.cumsum(speeds * world.step, axis=1)
+    return np.concatenate([q[:, None], path], axis=1), speeds[:, -1]
+
+
 def arrests(world: World, q: Array, v: Array, goal: Array, tolerance: Array) -> Bools:
     """Collection rule, eq. (5): whether this slot is flown as a = -v / slot to stop at the goal.
 

@@ -15,15 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mjcollect import compiled, distance_field, geometry, guidance, paths, reachability, waypoints
+from mjcollect import compiled
 from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance, Way
-from mjcollect.kernels import boxes, vectors
 from mjcollect.scene import Scene
-
-_BUILDERS = (
-    guidance, waypoints, paths, distance_field, reachability, geometry, boxes, vectors, compiled,
-)  # fmt: skip
 
 
 def file_name(scene: Scene, node: int, start: Array, beyond: Array | None = None) -> str:
@@ -36,11 +31,11 @@ def file_name(scene: Scene, node: int, start: Array, beyond: Array | None = None
 
 @cache
 def _code() -> str:
-    """Digest of the code that builds guidance."""
-    digest = hashlib.sha256()
-    for module in _BUILDERS:
-        digest.update(Path(str(module.__file__)).read_bytes())
-    return digest.hexdigest()
+    """Digest of the package: racing lines come of flights by its rules."""
+    here = Path(__file__).parent
+    return compiled.digest(
+        [*here.glob("*.py"), *here.glob("kernels/*.py"), *here.glob("planners/*.py")]
+    )
 
 
 def save(built: Guidance, folder: Path) -> Path:

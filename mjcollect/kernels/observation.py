@@ -11,6 +11,7 @@ from mjcollect.compiled import Array, Indices, compiled
 from mjcollect.kernels.boxes import box_offset
 from mjcollect.kernels.flight import scene_of
 from mjcollect.kernels.law import heading_row, law_row
+from mjcollect.kernels.line import follow_row
 from mjcollect.kernels.stop import stop_row
 from mjcollect.kernels.vectors import dot
 from mjcollect.kernels.way import query_row
@@ -50,7 +51,8 @@ def look(
                     towards[k] = point[k]
             for k in range(3):
                 point[k] = q[i, k]
-        law_row(world, w, q[i], v[i], room, towards, corner, law[i])
+        if len(way.line) == 0 or not follow_row(world, w, way.line, q[i], v[i], law[i]):
+            law_row(world, w, q[i], v[i], room, towards, corner, law[i])
         for k in range(3):
             towards[k] = direction[i, k]
         for a in range(len(strides)):
