@@ -1,11 +1,12 @@
 # make run    set up, then learn, fly, verify and film the default segment
 # make test   set up, then run the tests (make test-slow: the learning tests too)
 # make lint   set up, then linters and type checker
+# make reproduce-quick   set up, then every table and figure of the paper in small
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test test-slow lint setup
+.PHONY: run test test-slow lint reproduce-quick setup
 
 run: setup
 	$(BIN)/python -m train.segment --resume
@@ -20,6 +21,9 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+reproduce-quick: setup
+	$(BIN)/python -m train.reproduce --quick --resume
 
 setup:
 	@scripts/setup $(PYTHON)

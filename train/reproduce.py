@@ -91,8 +91,7 @@ def reproduce(args: Args) -> int:
     )
     config = {"program": "train.reproduce", "training": list(training)}
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
-    if args.ray is not None:
-        connect_ray(args.ray)
+    workers = args.workers if args.ray is None else ray_workers(args.ray)
     create(folder, config, args.overwrite)
     try:
         orders = time_orders(folder, sizes, args.workers, "random" in args.parts and not only)
@@ -101,7 +100,7 @@ def reproduce(args: Args) -> int:
             plan.cells.setdefault(cell.name, cell)
         write_scenes(folder, plan)
         cells = only or chosen(plan, args)
-        settings = Settings(args.workers, args.ray is not None, training, args.keep)
+        settings = Settings(workers, args.ray is not None, training, args.keep)
         if any(result_of(folder.path, cell) is None for cell in cells):
             note_machine(folder)
         complete, errors = fly_cells(folder.path, cells, settings)
@@ -203,6 +202,18 @@ def create(folder: RunFolder, config: dict[str, Any], overwrite: bool) -> None:
                 path.unlink(missing_ok=True)
     folder.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
     folder.write_json("config.json", config)
+
+
+def ray_workers(address: str) -> int:
+    """Connect to a cluster; how many cells it flies at a time.
+
+    Raises:
+        RunError: no cluster answers there.
+    """
+    connect_ray(address)
+    import ray
+
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 
 def chosen(plan: Plan, args: Args) -> list[Cell]:

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from train.reproduction.wording import FAILS, HOLDS, PARTLY, Document, Verdict, interval, percent
+from train.reproduction.wording import (
+    FAILS,
+    HOLDS,
+    PARTLY,
+    UNDECIDED,
+    Document,
+    Verdict,
+    interval,
+    percent,
+)
+
+NEGLIGIBLE = 0.01  # share of the time; a smaller gain is called none
 
 
 def safety(doc: Document) -> Verdict | None:
@@ -34,16 +45,16 @@ def learning(doc: Document) -> Verdict | None:
             f" Against the reference planner, which knows everything and is near the limit, they "
             f"save {interval(reference, digits=2)} (negative: they are longer)."
         )
-    return (HOLDS if law["low"] > 0 else FAILS if law["high"] < 0 else PARTLY), text, {}
+    return (HOLDS if law["low"] > 0 else FAILS if law["high"] < 0 else UNDECIDED), text, {}
 
 
 def aware_order(doc: Document) -> Verdict | None:
     """Does an order that knows the obstacles beat LKH on straight distances?"""
     rows = doc["tables"]["time_order_saving"]
-    parts, verdicts = [], []
+    parts, gains = [], []
     for planner, row in rows.items():
         if row["saving"]["n"] > 1:
-            verdicts.append(row["saving"]["low"] > 0)
+            gains.append(row["saving"])
             parts.append(
                 f"{planner}: {interval(row['saving'], digits=2)} over {row['saving']['n']} scenes, "
                 f"in {row['changed']} of which the order differs"
@@ -51,6 +62,12 @@ def aware_order(doc: Document) -> Verdict | None:
     if not parts:
         return None
     text = "Time saved by ordering at obstacle-aware cost instead: " + "; ".join(parts) + "."
-    if any(verdicts):
+    if any(gain["low"] > 0 for gain in gains):
         return FAILS, text + " The obstacle-aware order is better.", {}
-    return HOLDS, text + " Straight distances are good enough.", {}
+    if all(gain["high"] < NEGLIGIBLE for gain in gains):
+        return (
+            HOLDS,
+            text + f" No interval reaches {percent(NEGLIGIBLE, 0)}.",
+            {"negligible": NEGLIGIBLE},
+        )
+    return UNDECIDED, text + " The scenes are too few to tell.", {}

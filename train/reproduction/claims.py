@@ -1,8 +1,8 @@
 """The paper's claims against the tables: each verdict is computed from the numbers it quotes.
 
-A claim is what the paper says, a verdict (`holds`, `holds in part`, `does not hold`, `not tested`),
-the reason in one paragraph, and those of the reason's numbers that no table holds. Nothing here
-knows what the numbers are: with others the verdicts turn (tests/test_reproduction_claims.py).
+A claim is what the paper says, a verdict (`holds`, `holds in part`, `does not hold`, `undecided`,
+`not tested`), the reason in one paragraph, and those of the reason's numbers that no table holds.
+Nothing here knows what the numbers are: with others the verdicts turn (see the tests).
 """
 
 from __future__ import annotations

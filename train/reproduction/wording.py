@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-HOLDS, PARTLY, FAILS, UNTESTED = "holds", "holds in part", "does not hold", "not tested"
+HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
+UNDECIDED, UNTESTED = "undecided", "not tested"  # intervals that say nothing; no flights
 Document = Mapping[str, Any]
 Verdict = tuple[str, str, dict[str, float]]  # verdict, reason, numbers that no table holds
 
