@@ -29,6 +29,7 @@ import tyro
 from mjcollect.course import Course
 from mjcollect.generate import generate
 from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.reference import Reference
 from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.flight_recorder import Flight, fly_law, record
@@ -54,7 +55,7 @@ class Args:
     order: str = "lkh"
     """Visiting order: lkh, exact, random or given."""
     planners: tuple[str, ...] = ("policy", "mpc", "guidance")
-    """Which planners fly: policy, mpc, guidance."""
+    """Which planners fly: policy, mpc, reference, guidance."""
     workers: int = 2
     """Processes that train a mission's segments side by side."""
     seed: int = 0
@@ -76,6 +77,13 @@ def fly_mpc(course: Course) -> tuple[Flight, Row]:
     flight = record(course, lambda _, task: decide(task))
     more = {"counts": dict(mpc.counts), "solver": dict(mpc.statuses)}
     return flight, more | {"decision_ms": statistics.median(milliseconds)}
+
+
+def fly_reference(course: Course) -> tuple[Flight, Row]:
+    """The flight of the whole mission planned ahead, and how it was planned."""
+    reference = Reference(course)
+    flight = record(course, lambda _, task: reference.action(task.episodes))
+    return flight, {"counts": dict(reference.counts), "solver": dict(reference.statuses)}
 
 
 def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
@@ -117,6 +125,7 @@ def memory(pid: int) -> float:
 
 PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
     "mpc": fly_mpc,
+    "reference": fly_reference,
     "guidance": lambda course: (fly_law(course), {}),
 }
 

@@ -2,11 +2,13 @@
 
 python -m train.fly --run DIR
 python -m train.fly --scene FILE --planner mpc
+python -m train.fly --scene FILE --planner reference
 """
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,10 +107,10 @@ def fly_mission(args: Args) -> int:
         notes.append(planner.summary())
         say(notes[0])
     elif args.planner == "reference":
-        reference = _planned(course)
+        reference, seconds = _planned(course)
         folder.create(config, scene, overwrite=args.overwrite)
         flight = record(course, lambda _, task: reference.action(task.episodes))
-        notes.append(reference.summary())
+        notes.append(f"Planned in {seconds:.1f} s. {reference.summary()}")
         say(notes[0])
     else:
         folder.create(config, scene, overwrite=args.overwrite)
@@ -167,18 +169,18 @@ def scene_difference(one: Scene, two: Scene) -> str | None:
     return None
 
 
-def _planned(course: Course) -> Reference:
-    """The reference, its planning done.
+def _planned(course: Course) -> tuple[Reference, float]:
+    """The reference, its planning done, and the seconds that took.
 
     Raises:
         RunError: it finds no flight.
     """
-    reference = Reference(course, tell=say)
+    reference, begun = Reference(course, tell=say), time.perf_counter()
     try:
         reference.plan()
     except NoFlight as error:
         raise RunError(str(error)) from None
-    return reference
+    return reference, time.perf_counter() - begun
 
 
 def _load(path: Path) -> TrainedPolicy:
