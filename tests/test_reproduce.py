@@ -173,7 +173,7 @@ def test_a_cell_alone_is_flown_and_judged(tmp_path, monkeypatch):
 
 
 def test_time_orders_are_computed_once(tmp_path, monkeypatch):
-    def threads(workers, mp_context):
+    def threads(workers, **_):
         return ThreadPoolExecutor(workers)
 
     monkeypatch.setattr(prepare, "ProcessPoolExecutor", threads)

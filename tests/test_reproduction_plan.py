@@ -109,8 +109,10 @@ def test_bounds_of_all_orders_agree_with_one_by_one():
     spread = orders.spread(scene)
     assert spread["worst"] == pytest.approx(max(each))
     assert spread["mean"] == pytest.approx(np.mean(each))
-    saved = 1 - min(each) / np.array(each)
-    assert orders.share_saving(scene, 0.1) == pytest.approx(np.mean(saved >= 0.1))
+    order = (2, 0, 3, 1)
+    as_long = np.array(each) >= orders.order_bound(scene, order) - 1e-6
+    assert orders.share_as_long(scene, order) == pytest.approx(np.mean(as_long))
+    assert 0 < np.mean(as_long) < 1
 
 
 def test_all_instances_at_once_agree_with_each_alone():

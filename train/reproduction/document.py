@@ -55,19 +55,19 @@ def cell_versions(out: Path, plan: Plan) -> list[dict[str, str]]:
 
 
 def spreads(plan: Plan) -> dict[str, dict[str, float]]:
-    """How the bounds of all orders of the bundled scenes are spread, by label."""
-    paper = {scene: saving(times[LKH_DDPG], times[DDPG]) for scene, times in SCENARIOS.items()}
-    paper["sweep_8"] = saving(SWEEP[LKH_DDPG][8][0], SWEEP[DDPG][8][0])
+    """How the bounds of all orders of the bundled scenes are spread, by label.
+
+    `share_as_long`: share of all orders whose bound is at least that of the random order flown.
+    """
     found: dict[str, dict[str, float]] = {}
     labels = dict.fromkeys(use.scene for use in plan.uses if use.part in ("scenarios", "sweep"))
     for use in plan.uses:
-        if use.scene not in labels or use.scene in found:
+        if use.scene not in labels or use.scene in found or use.method != "random":
             continue
-        scene = plan.scenes[plan.cells[use.cell].scene]
-        found[use.scene] = orders.spread(scene)
-        if use.scene in paper:
-            found[use.scene]["paper_saving"] = paper[use.scene]
-            found[use.scene]["share_paper_saving"] = orders.share_saving(scene, paper[use.scene])
+        cell = plan.cells[use.cell]
+        scene = plan.scenes[cell.scene]
+        share = orders.share_as_long(scene, cell.order)
+        found[use.scene] = {**orders.spread(scene), "share_as_long": share}
     return found
 
 

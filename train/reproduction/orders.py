@@ -59,10 +59,9 @@ def spread(scene: Scene) -> dict[str, float]:
     }
 
 
-def share_saving(scene: Scene, least: float) -> float:
-    """Share of all orders against which the best saves at least the share `least` of the time."""
-    bounds = all_bounds(scene)
-    return float(np.mean(1.0 - bounds[0] / bounds >= least - 1e-12))
+def share_as_long(scene: Scene, order: tuple[int, ...]) -> float:
+    """Share of all orders whose bound is at least that of `order`."""
+    return float(np.mean(all_bounds(scene) >= order_bound(scene, order) - 1e-9))
 
 
 def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:

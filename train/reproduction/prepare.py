@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import signal
 from concurrent.futures import ProcessPoolExecutor
 
 from mjcollect.scene import Scene
@@ -27,7 +28,8 @@ def time_orders(folder: RunFolder, sizes: Sizes, workers: int, compute: bool) ->
     if compute and missing:
         say(f"ordering {len(missing)} random scenes at obstacle-aware cost")
         context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
-        with ProcessPoolExecutor(min(workers, len(missing)), mp_context=context) as pool:
+        count = min(workers, len(missing))
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_leave_ctrl_c) as pool:
             found = pool.map(time_order, [scenes[label] for label in missing])
             for label, order in zip(missing, found, strict=True):
                 kept[keys[label]] = list(order)
@@ -40,6 +42,11 @@ def time_order(scene: Scene) -> Order:
     from mjcollect.travel_cost import travel_times
 
     return plan_order(scene, "lkh", cost=travel_times(scene))
+
+
+def _leave_ctrl_c() -> None:
+    """Leave Ctrl-C to the program itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def write_scenes(folder: RunFolder, plan: Plan) -> None:
