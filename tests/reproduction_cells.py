@@ -65,6 +65,7 @@ def synthetic(factor, success=lambda cell: True):
         cells[name] = entry_of(cell, mission(cell, factor(cell), success(cell)))
     uses = [vars(use) for use in plan.uses]
     return {
+        "sizes": {"items": SIZES.items},
         "uses": uses,
         "cells": cells,
         "spreads": computed()[0],

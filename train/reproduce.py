@@ -30,7 +30,7 @@ from train.reproduction.running import Settings, fly_cells, result_of
 from train.runs import INTERRUPTED, RunError, RunFolder, run_program, say
 from train.workers import connect_ray
 
-QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=2, city=1, items=3)
+QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, first_scene=7001)
 QUICK_TRAINING = ("--updates", "300", "--extra-updates", "0", "--retries", "0")
 OUTPUTS = ("cells", "scenes", "config.json", "command.txt", "orders.json", "machines.json",
            "results.json", "reproduction.md")  # fmt: skip
@@ -65,7 +65,7 @@ class Args:
     training_seeds: int | None = None
     """Training seeds in scenarios 1 and 2 (3; with --quick 1)."""
     floating: int | None = None
-    """Random scenes of floating boxes (20; with --quick 2)."""
+    """Random scenes of floating boxes (20; with --quick 1)."""
     city: int | None = None
     """Random scenes of grounded boxes (6; with --quick 1)."""
     items: int | None = None

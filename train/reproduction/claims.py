@@ -71,7 +71,7 @@ def order_gain(doc: Document) -> Verdict | None:
         numbers |= {scene: gain, f"{scene} paper": saving(paper[LKH_DDPG], paper[DDPG])}
         gains.append(gain)
         parts.append(
-            f"{scene}: {percent(gain)} with the look-alike's random order (paper: "
+            f"{scene}: {percent(gain)} with the look-alike's random order (the paper's times: "
             f"{percent(saving(paper[LKH_DDPG], paper[DDPG]))}), whose bound is "
             f"{drawn['order_bound']:.1f} s; over all orders of the scene the bounds average "
             f"{spread['mean']:.1f} s, the worst is {spread['worst']:.1f} s, and "
@@ -100,8 +100,8 @@ def gain_at_eight(doc: Document) -> Verdict | None:
     flown = doc["tables"]["order_saving"]["policy"]["saving"]
     if flown["n"]:
         text += (
-            f" Flown by learned policies over {flown['n']} random scenes, LKH saves "
-            f"{interval(flown)}."
+            f" Flown by learned policies over {flown['n']} random scenes with K = "
+            f"{doc['sizes']['items']}, LKH saves {interval(flown)}."
         )
     if "sweep_8" in doc["spreads"]:
         alike = doc["spreads"]["sweep_8"]

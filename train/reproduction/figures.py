@@ -81,7 +81,8 @@ def plot_ablation(path: Path, doc: Document) -> Figure:
         places = [k + (number - 1) * width for k in there]
         errors = [0.0 if r["low"] is None else r["mean"] - r["low"] for r in ratios]
         means = [ratio["mean"] for ratio in ratios]
-        axes.bar(places, means, 0.92 * width, yerr=errors, capsize=3, color=colour,
+        heights = [mean - 1.0 for mean in means]
+        axes.bar(places, heights, 0.92 * width, bottom=1.0, yerr=errors, capsize=3, color=colour,
                  label=ORDER_NAMES[method], error_kw={"linewidth": 1.1})  # fmt: skip
         for place, mean, error in zip(places, means, errors, strict=True):
             axes.annotate(f"{mean:.3f}", (place, mean + error), xytext=(0, 3), ha="center",
@@ -89,7 +90,7 @@ def plot_ablation(path: Path, doc: Document) -> Figure:
     axes.axhline(1.0, color=BLACK, linewidth=0.9)
     axes.set_xticks(range(len(planners)), [PLANNER_NAMES[planner] for planner in planners])
     axes.set_ylabel("mission time / lower bound", **LABEL)
-    axes.set_ylim(bottom=0.9)
+    axes.margins(y=0.08)
     _plain(axes)
     axes.legend(frameon=False, ncol=3, loc="upper right", bbox_to_anchor=(1.0, 1.08))
     scenes = len(dict.fromkeys(u["scene"] for u in doc["uses"] if u["part"] == "random"))
