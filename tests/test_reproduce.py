@@ -210,6 +210,24 @@ def test_bad_input_is_refused_before_anything_is_written(tmp_path, capsys, more,
     assert not out.exists()
 
 
+def test_flights_are_compared_with_another_run(stub, capsys):
+    first, second = stub / "first", stub / "second"
+    assert reproduce.main(arguments(first)) == 0
+    results = first / "results.json"
+    only = ["--quick", "--workers", "1", "--only", *CELLS[:2], "--out", str(second)]
+    assert reproduce.main([*only, "--against", str(results)]) == 0
+    assert "2 of 2 flights as in" in capsys.readouterr().out
+    doc = json.loads(results.read_text())
+    doc["cells"][CELLS[1]]["mission_time"] = 49.8
+    results.write_text(json.dumps(doc))
+    assert reproduce.main([*only, "--resume", "--against", str(results)]) == 1
+    out = capsys.readouterr().out
+    assert f"differs: {CELLS[1]}: mission_time 50.0, there 49.8" in out
+    assert "1 of 2 flights as in" in out
+    assert reproduce.main([*only, "--resume", "--against", str(stub / "log")]) == 2
+    assert "--against" in capsys.readouterr().err
+
+
 def test_another_training_is_not_resumed(stub, capsys):
     out = stub / "out"
     assert reproduce.main(arguments(out)) == 0

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from mjcollect.tour import MAX_EXACT, TourError, plan_order
+from train.reproduction.compare import differences, load_cells
 from train.reproduction.document import document
 from train.reproduction.page import page
 from train.reproduction.pictures import draw
@@ -62,6 +63,8 @@ class Args:
     """Which planners fly."""
     only: tuple[str, ...] = ()
     """Fly only these cells, by the names in results.json: to check some of another run's."""
+    against: Path | None = None
+    """Another run's results.json: compare the flights with it; exit code 1 if one differs."""
     training_seeds: int | None = None
     """Training seeds in scenarios 1 and 2 (3; with --quick 1)."""
     floating: int | None = None
@@ -85,6 +88,7 @@ def reproduce(args: Args) -> int:
     """Plan, fly, count, draw. Raises only before anything is written."""
     sizes = sizes_of(args)
     only = [parse_cell(name, sizes) for name in args.only]
+    theirs = None if args.against is None else load_cells(args.against)
     training = (*(QUICK_TRAINING if args.quick else ()), *shlex.split(args.mission_arguments))
     folder = RunFolder(
         args.out or Path("runs") / ("reproduce-quick" if args.quick else "reproduce")
@@ -114,13 +118,19 @@ def reproduce(args: Args) -> int:
             "training": list(training),
             "machines": (folder.read_json("machines.json") or {"machines": []})["machines"],
         }
-        write_results(folder, plan, sizes, errors, about)
+        found = write_results(folder, plan, sizes, errors, about)
     finally:
         folder.unlock()
     for name, message in errors.items():
         say(f"error: {name}: {message}")
     print(f"{len(cells) - len(errors)} of {len(cells)} flights: {folder.path / 'reproduction.md'}")
-    return 1 if errors else 0
+    differing = {}
+    if theirs is not None:
+        differing = differences([cell.name for cell in cells], found["cells"], theirs)
+        for name, what in differing.items():
+            print(f"differs: {name}: {what}")
+        print(f"{len(cells) - len(differing)} of {len(cells)} flights as in {args.against}")
+    return 1 if errors or differing else 0
 
 
 def sizes_of(args: Args) -> Sizes:
@@ -237,13 +247,14 @@ def command(argv: Sequence[str] | None = None) -> str:
 
 def write_results(
     folder: RunFolder, plan: Plan, sizes: Sizes, errors: Mapping[str, str], about: Mapping[str, Any]
-) -> None:
-    """results.json, the figures, and the page."""
+) -> dict[str, Any]:
+    """results.json, which is also returned, the figures, and the page."""
     say("counting and drawing")
     found = document(folder.path, plan, sizes, errors, about)
     found["figures"] = draw(folder, plan, found)
     folder.write_json("results.json", found)
     folder.write_text("reproduction.md", page(found))
+    return found
 
 
 if __name__ == "__main__":

@@ -258,10 +258,11 @@ def _again(doc: Document) -> list[str]:
     return [
         "## Check it",
         "",
-        "Any flight can be made again alone, by its name in `results.json`:",
+        "Any flight can be made again alone, by its name in `results.json`, and compared:",
         "",
         "```",
-        f"python -m train.reproduce{quick} --only {next(iter(doc['scenes']))}-mpc-lkh --out DIR",
+        f"python -m train.reproduce{quick} --only {next(iter(doc['scenes']))}-mpc-lkh --out DIR "
+        "--against results.json",
         "```",
         "",
         "On the same kind of machine with the same versions the flight is the same. Other "
