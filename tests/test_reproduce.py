@@ -201,6 +201,8 @@ def test_time_orders_are_computed_once(tmp_path, monkeypatch):
         (["--only", "scenario_1-policy-0.1.2.3"], "--only: scenario_1-policy-0.1.2.3"),
         (["--only", "scenario_1-mpc-0.1.2.3-seed1"], "--only: scenario_1-mpc"),
         (["--resume", "--overwrite"], "--overwrite"),
+        (["--mission-arguments", "it's"], "--mission-arguments: it's"),
+        (["--against", "nowhere.json"], "--against: nowhere.json"),
     ],
 )
 def test_bad_input_is_refused_before_anything_is_written(tmp_path, capsys, more, named):

@@ -89,7 +89,12 @@ def reproduce(args: Args) -> int:
     sizes = sizes_of(args)
     only = [parse_cell(name, sizes) for name in args.only]
     theirs = None if args.against is None else load_cells(args.against)
-    training = (*(QUICK_TRAINING if args.quick else ()), *shlex.split(args.mission_arguments))
+    try:
+        training = (*(QUICK_TRAINING if args.quick else ()), *shlex.split(args.mission_arguments))
+    except ValueError as error:
+        raise RunError(
+            f"--mission-arguments: {args.mission_arguments}: {error}; close the quotes"
+        ) from None
     folder = RunFolder(
         args.out or Path("runs") / ("reproduce-quick" if args.quick else "reproduce")
     )
