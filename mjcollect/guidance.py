@@ -30,7 +30,7 @@ COARSE_SLACK_SHARE, COARSE_SLACK_OF_WAY = 0.1, 0.3
 # share of the bounds' longest side.
 FINE_SLACK, FINE_SLACK_SHARE = 60.0, 0.06
 AIM_ROOM = 2.0  # metres wanted between an aim and boxes or bounds
-STOP_SHARE = 0.9  # of the tolerance: how far from its goal a stop may be planned
+STOP_SHARE = 0.98  # of the tolerance: how far from its goal a stop may be planned
 AIM_SHARE = 0.7  # of the tolerance: how far an aim may lie from its goal
 SLACK_SHARE = 0.8  # of what is left of the tolerance beside the aim
 TURN_SHARE = 0.6  # of the tolerance: how far an aim is moved towards the inside of the tour's turn
@@ -166,10 +166,11 @@ class Guidance:
     def _best_stop(self) -> Array:
         """`Way.stop`: towards where the tour goes on, else the aim."""
         radius = STOP_SHARE * self.tolerance
-        if room_at(self.scene, self.goal[None])[0] < self.tolerance + AIM_ROOM:
+        around = self.tolerance + AIM_ROOM
+        if self.beyond is None and room_to_boxes(self.scene, self.goal[None])[0] >= around:
+            return np.append(self.aim, radius)  # coming from within the bounds
+        if self.beyond is None or room_at(self.scene, self.goal[None])[0] < around:
             return np.append(self.aim, 0.0)
-        if self.beyond is None:
-            return np.append(self.aim, radius)
         onward = self.beyond - self.goal
         far = float(np.linalg.norm(onward))
         return np.append(self.goal + onward / max(far, 1e-9) * min(radius, far), radius)
@@ -212,11 +213,16 @@ def choose_aim(
 def room_at(scene: Scene, points: Array) -> Array:
     """Metres (P,) between the body at points (P, 3) and the nearest box or bound."""
     low, high = scene.bounds
-    room = np.minimum(points - low, high - points).min(axis=1)
-    if len(scene.obstacles):
-        gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
-        room = np.minimum(room, gap - scene.uav_radius)
-    return np.asarray(room)
+    walls = np.minimum(points - low, high - points).min(axis=1)
+    return np.minimum(walls, room_to_boxes(scene, points))
+
+
+def room_to_boxes(scene: Scene, points: Array) -> Array:
+    """Metres (P,) between the body at points (P, 3) and the nearest box."""
+    if not len(scene.obstacles):
+        return np.full(len(points), np.inf)
+    gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
+    return np.asarray(gap - scene.uav_radius)
 
 
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjcollect import kernels
+from mjcollect.compiled import plain
 from mjcollect.flight import World, command, judge, slot_path
 from mjcollect.geometry import Array, segment_box_distance
 from mjcollect.guidance import Guidance, room_at
@@ -91,7 +92,7 @@ def rehearse(guide: Guidance, q: Array, v: Array | None = None, line: Array | No
         which = np.flatnonzero(running)
         if not len(which):
             break
-        kernels.look(world, way, guide.slack, which, guide.goal, strides, q, v, *view, law)
+        kernels.look(world, way, guide.slack, which, plain(guide.goal), strides, q, v, *view, law)
         a, stop = command(world, q, v, law, goal, tolerance)
         path, end = slot_path(world, q, v, a)
         judged = judge(world, q, path[:, 1:], np.zeros(path[:, 1:, 0].shape, bool), stop)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mjcollect.flight import World
 
 SPEED_WEIGHT = 2.0  # metres that a difference of 1 m/s counts for in finding the place on a line
+BEHIND = 6.0  # metres that it may be behind or ahead of its place, along the line
 FASTER = 1.0  # m/s above the line's speed at which it is still followed
 IDLE_SHARE = 0.4  # of the room beside a line, within which nothing is corrected
 GAIN = 0.5  # share of what is beyond that which a slot corrects
@@ -62,8 +63,8 @@ def across(vector: Array, heading: Array, out: Array) -> None:
 def follow_row(world: World, w: int, line: Array, q: Array, v: Array, action: Array) -> bool:
     """Action along a line (L, 7); False where it ends or cannot be followed from here.
 
-    It is followed where its room suffices for the offset from it, now and once the motion across
-    it has been ended, and at its speed at most.
+    It is followed near its place, where the room suffices for the offset from it, now and once the
+    motion across it has been ended, and at its speed at most.
     """
     place = place_on(line, q, v)
     if place + 1 > len(line) - 1:
@@ -79,6 +80,8 @@ def follow_row(world: World, w: int, line: Array, q: Array, v: Array, action: Ar
     gap, offset, drift, wanted = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
         gap[k] = q[k] - here[k]
+    if abs(dot(gap, heading)) > BEHIND:
+        return False
     across(gap, heading, offset)
     across(v, now, drift)
     seconds = norm(drift) / (2 * BRAKE_SHARE * a_max)

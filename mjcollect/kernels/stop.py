@@ -18,7 +18,7 @@ from mjcollect.kernels.vectors import dot, norm, unit
 if TYPE_CHECKING:
     from mjcollect.guidance import Way
 
-SPARE = 0.02  # seconds of what is to spare that are not counted on
+SPARE = 0.01  # seconds of what is to spare that are not counted on
 STRETCH = 1e-6  # share of a slot by which a time may exceed whole slots
 
 
