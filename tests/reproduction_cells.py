@@ -8,7 +8,7 @@ from train.reproduction.document import spreads
 from train.reproduction.plan import Sizes, make_plan, random_scenes
 from train.reproduction.tables import entry_of, tables
 
-SIZES = Sizes(training_seeds=2, sweep=(1, 2, 4, 6, 8), floating=4, city=2, items=3, instances=300)
+SIZES = Sizes(training_seeds=2, sweep=(1, 2, 4, 6, 8), floating=5, city=2, items=3, instances=300)
 TOURS = [(0, 1, 2), (0, 2, 1), (1, 0, 2)]
 # Another tour than LKH's, in the floating scenes only.
 TIME_ORDERS = {

@@ -8,6 +8,7 @@ from reproduction_cells import TIME_ORDERS, synthetic
 
 from train.reproduction.claims import claims
 from train.reproduction.page import page
+from train.reproduction.tables import tables
 from train.reproduction.wording import FAILS, HOLDS, PARTLY, UNDECIDED, UNTESTED
 
 FACTORS = {"policy": 1.02, "mpc": 1.03, "guidance": 1.05, "reference": 1.005}
@@ -94,9 +95,20 @@ def test_an_aware_order_that_gains_is_named():
     assert found["aware"] == FAILS
 
 
-def test_nothing_flown_nothing_judged(usual):
-    from train.reproduction.tables import tables
+def test_a_few_scenes_decide_nothing(usual):
+    """Four scenes, however clear; and any number in which the orders are the same."""
+    few = {use["scene"] for use in usual["uses"] if use["part"] == "random"}
+    few = sorted(few, reverse=True)[:4]
+    uses = [use for use in usual["uses"] if use["part"] != "random" or use["scene"] in few]
+    found = verdicts({**usual, "tables": tables(uses, usual["cells"])})
+    assert found["learning"] == found["aware"] == UNDECIDED
+    assert found["mpc"] == HOLDS  # by the scenarios
+    same = [{**use, "method": "lkh-time"} for use in uses if use["method"] == "lkh"]
+    found = verdicts({**usual, "tables": tables([*uses, *same], usual["cells"])})
+    assert found["aware"] == UNDECIDED
 
+
+def test_nothing_flown_nothing_judged(usual):
     empty = {**usual, "cells": {}, "tables": tables(usual["uses"], {})}
     found = verdicts(empty)
     untested = {name for name, verdict in found.items() if verdict == UNTESTED}
@@ -113,7 +125,7 @@ def complete(doc):
         "machines": [{"processor": "some", "cpus": 2, "system": "Linux"}],
         "versions": {},
         "cell_versions": [{}],
-        "sizes": {"floating": 4, "city": 2, "items": 3, "first_scene": 7000},
+        "sizes": {"floating": 5, "city": 2, "items": 3, "first_scene": 7000},
         "scenes": {"scenario_1": {}},
         "not_flown": [],
         "errors": {"cell": "exit code 2: some words"},

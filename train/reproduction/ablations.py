@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from train.reproduction.wording import (
     FAILS,
+    FEW,
     HOLDS,
     PARTLY,
     UNDECIDED,
@@ -14,6 +15,7 @@ from train.reproduction.wording import (
 )
 
 NEGLIGIBLE = 0.01  # share of the time; a smaller gain is called none
+TOO_FEW = " The scenes are too few to tell."
 
 
 def safety(doc: Document) -> Verdict | None:
@@ -34,17 +36,19 @@ def learning(doc: Document) -> Verdict | None:
     """What the learned trajectories are worth beside planners without learning."""
     table = doc["tables"]["policy_saving"]
     law, reference = table["guidance"]["saving"], table["reference"]["saving"]
-    if law["n"] < 2:
+    if not law["n"]:
         return None
     text = (
         f"Over {law['n']} random scenes in LKH order the policies save {interval(law, digits=2)} "
         "of the time of the guidance law that they correct."
     )
-    if reference["n"] > 1:
+    if reference["n"]:
         text += (
             f" Against the reference planner, which knows everything and is near the limit, they "
             f"save {interval(reference, digits=2)} (negative: they are longer)."
         )
+    if law["n"] < FEW:
+        return UNDECIDED, text + TOO_FEW, {}
     return (HOLDS if law["low"] > 0 else FAILS if law["high"] < 0 else UNDECIDED), text, {}
 
 
@@ -52,9 +56,11 @@ def aware_order(doc: Document) -> Verdict | None:
     """Does an order that knows the obstacles beat LKH on straight distances?"""
     rows = doc["tables"]["time_order_saving"]
     parts, gains = [], []
+    differ = 0
     for planner, row in rows.items():
-        if row["saving"]["n"] > 1:
+        if row["saving"]["n"]:
             gains.append(row["saving"])
+            differ = max(differ, row["changed"])
             parts.append(
                 f"{planner}: {interval(row['saving'], digits=2)} over {row['saving']['n']} scenes, "
                 f"in {row['changed']} of which the order differs"
@@ -62,6 +68,8 @@ def aware_order(doc: Document) -> Verdict | None:
     if not parts:
         return None
     text = "Time saved by ordering at obstacle-aware cost instead: " + "; ".join(parts) + "."
+    if not differ or min(gain["n"] for gain in gains) < FEW:
+        return UNDECIDED, text + TOO_FEW, {}
     if any(gain["low"] > 0 for gain in gains):
         return FAILS, text + " The obstacle-aware order is better.", {}
     if all(gain["high"] < NEGLIGIBLE for gain in gains):
@@ -70,4 +78,4 @@ def aware_order(doc: Document) -> Verdict | None:
             text + f" No interval reaches {percent(NEGLIGIBLE, 0)}.",
             {"negligible": NEGLIGIBLE},
         )
-    return UNDECIDED, text + " The scenes are too few to tell.", {}
+    return UNDECIDED, text + TOO_FEW, {}

@@ -14,6 +14,7 @@ from train.reproduction.paper import DDPG, LKH_DDPG, MPC, SCENARIOS, SWEEP, savi
 from train.reproduction.tables import Row
 from train.reproduction.wording import (
     FAILS,
+    FEW,
     HOLDS,
     PARTLY,
     UNTESTED,
@@ -146,11 +147,12 @@ def mpc_gain(doc: Document) -> Verdict | None:
             f"{percent(numbers['K = 8'])} against the MPC in file order."
         )
     paired = doc["tables"]["policy_saving"]["mpc"]["saving"]
-    if paired["n"] > 1:
+    if paired["n"]:
         parts.append(
             f"Over {paired['n']} random scenes in the same LKH order the policies save "
             f"{interval(paired)} of the MPC's time."
         )
+    if paired["n"] >= FEW:
         faster, slower = paired["low"] > 0, paired["high"] < 0
     else:
         faster, slower = min(flying) > 0, max(flying) < 0

@@ -168,7 +168,7 @@ def _random(doc: Document) -> list[str]:
     lines = [
         "## Random scenes: orders and planners",
         "",
-        f"{sizes['floating']} scenes of floating boxes and {sizes['city']} city scenes from "
+        f"Scenes of floating boxes: {sizes['floating']}, city scenes: {sizes['city']}, from "
         f"`mjcollect.generate` (seeds from {sizes['first_scene']}), K = {sizes['items']}, one "
         "training seed, one random order a scene.",
         "",

@@ -7,6 +7,7 @@ from typing import Any
 
 HOLDS, PARTLY, FAILS = "holds", "holds in part", "does not hold"
 UNDECIDED, UNTESTED = "undecided", "not tested"  # intervals that say nothing; no flights
+FEW = 5  # random scenes; on fewer no verdict is built
 Document = Mapping[str, Any]
 Verdict = tuple[str, str, dict[str, float]]  # verdict, reason, numbers that no table holds
 
