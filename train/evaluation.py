@@ -11,7 +11,7 @@ import numpy as np
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
-from mjcollect.reward import time_to_go
+from mjcollect.racing_line import least_slots
 from train.learn_config import LearnConfig
 
 
@@ -66,13 +66,9 @@ class Evaluator:
 
         Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
         """
-        world, guide = self.sims.episodes.world, self._course.guidance[0]
-        distance, _ = guide.query(self._q)
-        beside = float(np.linalg.norm(guide.aim - guide.goal))
-        distance = np.maximum(distance - max(guide.tolerance - beside, 0.0), 0.0)
-        time = time_to_go(world, distance, np.zeros(len(distance)))
-        saved = 0.0 if guide.beyond is None else guide.tolerance / self._course.scene.v_max
-        return float(np.mean(np.ceil(time / world.slot - 1e-6) * world.slot)) - saved
+        scene, guide = self._course.scene, self._course.guidance[0]
+        saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
+        return float(least_slots(guide, self._q).mean()) * scene.slot - saved
 
     def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
         """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""

@@ -31,7 +31,8 @@ class Trainer:
     """Learns one segment. Iterate over `run()`; its whole state is in `state_dict()` and `buffer`.
 
     Attributes:
-        learner, buffer, env: the parts. best: best evaluation so far; best_policy its weights.
+        learner, buffer, env: the parts. best: best evaluation so far; best_policy its weights,
+            best_update when it was made.
         rows: one dict per evaluation, the columns of metrics.csv. finished: nothing
             left to do. seconds: spent training, kept by the caller.
     """
@@ -75,6 +76,7 @@ class Trainer:
         self.rows: list[dict[str, float]] = []
         self.best: Evaluation | None = None
         self.best_policy: dict[str, torch.Tensor] | None = None
+        self.best_update = 0
         self.finished = False
         self.seconds = 0.0
         self._returns = torch.zeros(config.envs, 1)
@@ -112,13 +114,13 @@ class Trainer:
 
     @property
     def budget(self) -> int:
-        """Updates in all; fewer if there is nothing to gain, more while not every start arrives."""
-        config, best = self.config, self.best
-        good = best is not None and best.success_rate == 1.0
-        done = good and best is not None and best.mean_cost <= self.evaluator.least + config.gap
-        if good and self.learner.updates >= (config.least_updates if done else config.updates):
-            return self.learner.updates
-        return config.updates + (0 if good else config.extra_updates)
+        """Updates in all; fewer if nothing more is gained, more while not every start arrives."""
+        config, best, made = self.config, self.best, self.learner.updates
+        if best is None or best.success_rate < 1.0:
+            return config.updates + config.extra_updates
+        done = best.mean_cost <= self.evaluator.least + config.gap and made >= config.least_updates
+        idle = made - self.best_update >= config.patience
+        return made if done or idle or made >= config.updates else config.updates
 
     @property
     def _spent(self) -> bool:
@@ -161,7 +163,7 @@ class Trainer:
         ]
         result, actor = max(tried, key=lambda pair: pair[0].rank)
         if self.best is None or result.rank > self.best.rank:
-            self.best = result
+            self.best, self.best_update = result, self.learner.updates
             self.best_policy = {
                 name: value.detach().cpu().clone() for name, value in actor.state_dict().items()
             }
@@ -213,6 +215,7 @@ class Trainer:
             "rows": list(self.rows),
             "best": None if self.best is None else dataclasses.asdict(self.best),
             "best_policy": self.best_policy,
+            "best_update": self.best_update,
             "finished": self.finished,
             "seconds": self.seconds,
         }
@@ -235,7 +238,7 @@ class Trainer:
         self._losses = list(state["losses"])
         self.rows = list(state["rows"])
         self.best = None if state["best"] is None else Evaluation(**state["best"])
-        self.best_policy = state["best_policy"]
+        self.best_policy, self.best_update = state["best_policy"], state["best_update"]
         self.finished, self.seconds = state["finished"], state["seconds"]
 
     def close(self) -> None:

@@ -19,6 +19,8 @@ class LearnConfig:
     """Updates after which training may stop early, see `gap`."""
     gap: float = 0.05
     """Seconds: stop when arriving from everywhere within this of the least cost, on average."""
+    patience: int = 2_500
+    """Updates without a better evaluation after which training stops early."""
     extra_updates: int = 10_000
     """Further updates, at most, if by then no evaluated policy has arrived from every start."""
     envs: int = 64
@@ -82,7 +84,7 @@ class LearnConfig:
         Raises:
             ValueError: naming field, value and fix.
         """
-        counts = ("updates", "envs", "u1", "u2", "batch", "width", "threads")
+        counts = ("updates", "patience", "envs", "u1", "u2", "batch", "width", "threads")
         for field in (*counts, "eval_every", "eval_episodes"):
             if getattr(self, field) < 1:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be at least 1")
