@@ -17,9 +17,10 @@ import numpy as np
 
 from mjcollect.course import Course
 from mjcollect.episode import Episodes
-from mjcollect.geometry import Array, segment_clear
+from mjcollect.geometry import Array
 from mjcollect.paths import path_length
-from mjcollect.planners.allotment import Allotments, Slots, least_slots
+from mjcollect.planners.allotment import Allotments, Slots, least_slots, reach
+from mjcollect.planners.detours import detours
 from mjcollect.planners.mpc import INSIDE, Mpc
 from mjcollect.planners.program import COMFORT
 from mjcollect.planners.rehearsal import Rehearsal, rehearse
@@ -28,6 +29,8 @@ from mjcollect.planners.tour_program import Motion, TourProgram
 
 PASSES = 4  # of looking for fewer slots along the ways of the last success
 HOPE = -1.0  # metres of margin down to which an allotment is tried
+TURNS = 2  # of looking for other ways past the boxes
+NOTED = 0.1  # metres by which another way must be shorter
 TRIED = 3  # allotments of each total
 SOFT_ROUNDS = 6  # of solving anew while boxes are overlapped
 ROUNDS = 10  # of solving anew in all
@@ -115,9 +118,9 @@ class Reference:
         if best is None:
             self._tell("reference: the MPC does not arrive; planning from the shortest ways")
             best = self._from_ways()
-        for _ in range(PASSES):
+        for number in range(PASSES):
             self._tell(f"reference: {len(best.commands)} slots; looking for fewer")
-            better = self._fewer(best)
+            better = self._fewer(best, widely=number == 0)
             if better is None:
                 return best
             best = better
@@ -139,9 +142,9 @@ class Reference:
             "found, by the MPC or all at once; widen the gaps between the boxes along the way"
         )
 
-    def _fewer(self, flight: Rehearsal) -> Rehearsal | None:
+    def _fewer(self, flight: Rehearsal, widely: bool) -> Rehearsal | None:
         """A flight in fewer slots along the best ways known; None if none is found."""
-        ways = self._ways(flight)
+        ways = self._ways(flight, widely)
         start = self._scene.point(self._course.nodes[0])
         routes = [way.route for way in ways]
         allotments = Allotments(self._scene, start, self._balls, routes)
@@ -165,17 +168,42 @@ class Reference:
         self._solver += allotments.statuses
         return better
 
-    def _ways(self, flight: Rehearsal) -> list[Way]:
-        """The shortest way of each leg among those that begin as flown, as guided and straight."""
-        scene, ways = self._scene, []
+    def _ways(self, flight: Rehearsal, widely: bool) -> list[Way]:
+        """The shortest way found for each leg: as flown or, `widely`, elsewhere past boxes."""
+        ways = []
         for path, guide in zip(flight.legs, self._course.guidance, strict=True):
-            guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
-            firsts = [path]
-            if not segment_clear(path[0], path[-1], scene.obstacles, scene.uav_radius):
-                firsts += [guess(way, scene, len(path) - 1) for way in (guided, path[[0, -1]])]
-            found = [explore(scene, first, self._solver) for first in firsts]
-            ways.append(min(found, key=lambda way: way.length))
+            best = explore(self._scene, path, self._solver)
+            if widely and len(best.route.corners):
+                guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
+                best = self._shortest(best, [guided, path[[0, -1]]], len(path) - 1)
+                best = self._past_others(best, path)
+            ways.append(best)
         return ways
+
+    def _past_others(self, best: Way, path: Array) -> Way:
+        """A shorter way past other sides of the boxes than those of the leg `path` (M + 1, 3)."""
+        scene = self._scene
+        worth = scene.v_max * scene.slot / 2  # metres, half a slot
+        straight = float(np.linalg.norm(path[-1] - path[0]))
+        for _ in range(TURNS):
+            length = min(best.length, reach(scene, len(path) - 1))
+            if length < straight + worth:
+                break
+            way = np.concatenate([path[:1], best.route.corners, path[-1:]])
+            others = detours(scene, way, length)
+            better = self._shortest(best, others, least_slots(scene, length) + 1)
+            if better is best:
+                break
+            best = better
+        return best
+
+    def _shortest(self, best: Way, others: Sequence[Array], slots: int) -> Way:
+        """The shortest of a way and those along other polylines (P, 3), first tried in `slots`."""
+        for other in others:
+            found = explore(self._scene, guess(other, self._scene, slots), self._solver)
+            if found.length < best.length - NOTED:
+                best = found
+        return best
 
     def _attempt(self, paths: Sequence[Array]) -> Rehearsal | None:
         """A flight near `paths`, in as many slots; None if none is found."""
