@@ -100,9 +100,7 @@ def main(args: Args) -> None:
             results.append({"success": result["success"]} | {k: result[k] for k in SHOWN})
             results[-1] |= {"scene": scene.name, "segment": first_blocked(scene, result["order"])}
             results[-1] |= mark
-    print(
-        "| scene | segment | success | time (s) | of detour time | rate | trained (s) | to mark (s) |"
-    )
+    print("| scene | segment | success | time (s) | of detour | rate | trained (s) | to mark (s) |")
     print("|---|---|---|---|---|---|---|---|")
     ratios = []
     for row in results:
