@@ -171,9 +171,10 @@ class Reference:
     def _ways(self, flight: Rehearsal, widely: bool) -> list[Way]:
         """The shortest way found for each leg: as flown or, `widely`, elsewhere past boxes."""
         ways = []
-        for path, guide in zip(flight.legs, self._course.guidance, strict=True):
+        for k, (path, guide) in enumerate(zip(flight.legs, self._course.guidance, strict=True)):
             best = explore(self._scene, path, self._solver)
             if widely and len(best.route.corners):
+                self._tell(f"reference: leg {k} turns round boxes; trying other ways")
                 guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
                 best = self._shortest(best, [guided, path[[0, -1]]], len(path) - 1)
                 best = self._past_others(best, path)
@@ -208,6 +209,7 @@ class Reference:
     def _attempt(self, paths: Sequence[Array]) -> Rehearsal | None:
         """A flight near `paths`, in as many slots; None if none is found."""
         self.counts["tried"] += 1
+        self._tell(f"reference: trying {sum(len(path) - 1 for path in paths)} slots")
         elastic, last = True, np.inf
         for number in range(ROUNDS):
             motion = self._program.best(paths, elastic)
