@@ -94,12 +94,21 @@ def shrink_last(net: nn.Sequential, share: float = 0.1) -> None:
         last.bias.zero_()
 
 
+def make_optimizer(kind: str, parameters: Any) -> torch.optim.Optimizer:
+    """Adam, or for `sgd` the plain gradient steps of Algorithm 1; the rate is set at every update.
+
+    The critic's loss is the mean square error: its gradient is twice that in Algorithm 1.
+    """
+    made = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}[kind]
+    return made(parameters, lr=1e-3, fused=True)
+
+
 class BaseLearner:
     """Networks, learning rates and the U_2 loop; how one update is made is the subclass's matter.
 
     Attributes:
         actor, critic: the networks. averaged: Polyak average of the actors, to evaluate.
-        gamma, alpha_target, average_rate: as given. updates: made so far.
+        gamma, alpha_target, average_rate: as given. kind: of the optimiser. updates: made so far.
     """
 
     def __init__(
@@ -114,12 +123,14 @@ class BaseLearner:
         final_rate: float,
         total_updates: int,
         average_rate: float = 0.002,
+        optimizer: str = "adam",
         residual: float = 0.0,
         actor_delay: int = 0,
         device: str = "cpu",
     ) -> None:
         """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs."""
         self.device = device
+        self.kind = optimizer
         self.residual, self._delay = residual, actor_delay
         self.actor = make_actor(observation_size, width, residual).to(device)
         self.critic = make_critic(observation_size, width).to(device)
@@ -167,11 +178,11 @@ class Learner(BaseLearner):
         self.loss = DDPGLoss(self.actor, self.critic, delay_actor=True, delay_value=True)
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
         self.targets = SoftUpdate(self.loss, tau=self.alpha_target)
-        self.actor_optimizer = torch.optim.Adam(
-            self.loss.actor_network_params.flatten_keys().values(), fused=True
+        self.actor_optimizer = make_optimizer(
+            self.kind, self.loss.actor_network_params.flatten_keys().values()
         )
-        self.critic_optimizer = torch.optim.Adam(
-            self.loss.value_network_params.flatten_keys().values(), fused=True
+        self.critic_optimizer = make_optimizer(
+            self.kind, self.loss.value_network_params.flatten_keys().values()
         )
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:

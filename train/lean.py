@@ -16,7 +16,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.data import TensorDictReplayBuffer
 
-from train.ddpg import BaseLearner, Learner, sample
+from train.ddpg import BaseLearner, Learner, make_optimizer, sample
 from train.norm_relu import norm_relu_backward
 
 EPS = 1e-5  # nn.LayerNorm's
@@ -117,7 +117,7 @@ class LeanLearner(BaseLearner):
             parameter.grad = torch.zeros_like(layers.flat)
             self._gradients.append(Layers.of(module, parameter.grad))
             groups.append({"params": [parameter]})
-        self.optimizer = torch.optim.Adam(groups, fused=True)
+        self.optimizer = make_optimizer(self.kind, groups)
 
     def update(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""

@@ -31,8 +31,8 @@ class Trainer:
     """Learns one segment. Iterate over `run()`; its whole state is in `state_dict()` and `buffer`.
 
     Attributes:
-        learner, buffer, env: the parts. best: best evaluation so far; best_policy its weights,
-            best_update when it was made.
+        learner, buffer, env: the parts. best: best evaluation so far, or the last where the last
+            policy is flown; best_policy its weights, best_update when it was made.
         rows: one dict per evaluation, the columns of metrics.csv. finished: nothing
             left to do. seconds: spent training, kept by the caller.
     """
@@ -62,6 +62,8 @@ class Trainer:
             alpha_critic=config.alpha_critic,
             alpha_target=config.alpha_target,
             final_rate=config.final_rate,
+            average_rate=config.average_rate,
+            optimizer=config.optimizer,
             total_updates=config.updates,
             residual=residual,
             actor_delay=config.actor_delay,
@@ -156,13 +158,16 @@ class Trainer:
         return TrainedPolicy(self.learner.actor, self.config.observation)
 
     def _evaluate(self) -> None:
-        """Fly the actor and the average of past actors; keep the better if it is the best yet."""
+        """Fly the actor and the average of past actors; keep the better if it is to be flown."""
+        actors = [self.learner.actor]
+        actors += [self.learner.averaged] if self.config.average_rate > 0.0 else []
         tried = [
             (self.evaluator(TrainedPolicy(actor, self.config.observation)), actor)
-            for actor in (self.learner.actor, self.learner.averaged)
+            for actor in actors
         ]
         result, actor = max(tried, key=lambda pair: pair[0].rank)
-        if self.best is None or result.rank > self.best.rank:
+        last = self.config.flown == "last"
+        if last or self.best is None or result.rank > self.best.rank:
             self.best, self.best_update = result, self.learner.updates
             self.best_policy = {
                 name: value.detach().cpu().clone() for name, value in actor.state_dict().items()

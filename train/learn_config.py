@@ -44,6 +44,8 @@ class LearnConfig:
     """The same where the law is slower than `hard_gap`."""
     hard_gap: float = 1.0
     """Seconds that the law needs beyond the least time, on average, in a hard segment."""
+    optimizer: Literal["adam", "sgd"] = "adam"
+    """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
     actor_delay: int = 300
     """Updates of the critic alone before the actor's begin."""
     gamma: float = 0.99
@@ -56,6 +58,10 @@ class LearnConfig:
     """Target network learning rate."""
     final_rate: float = 0.1
     """Share of the learning rates left at the end, reached linearly."""
+    average_rate: float = 0.002
+    """Rate of the Polyak average of the actors that is evaluated beside the actor; 0: none."""
+    flown: Literal["best", "last"] = "best"
+    """Which evaluated policy is flown: the best, or the last as in Algorithm 1."""
     noise_min: float = 0.05
     """Standard deviation of the Gaussian action noise in the calmest simulation, as a share of the
     correction in force, or of a_max where there is none."""
@@ -97,7 +103,7 @@ class LearnConfig:
         for field in ("gap", "hard_gap"):
             if not 0.0 <= getattr(self, field) < math.inf:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be seconds, from 0 on")
-        shares = ("alpha_target", "final_rate", "guided_share", "guided_until")
+        shares = ("alpha_target", "average_rate", "final_rate", "guided_share", "guided_until")
         for field in (*shares, "residual", "hard_residual"):
             if not 0.0 <= getattr(self, field) <= 1.0:
                 raise ValueError(f"{field}: {getattr(self, field)}: must lie between 0 and 1")

@@ -23,6 +23,7 @@ from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
 from train.policies import TrainedPolicy
+from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
     INTERRUPTED,
     RunError,
@@ -79,6 +80,10 @@ class Args:
     """Render mission.mp4, and each segment's video up to 10 items."""
     checkpoint_every: int = 1000
     """Updates between the checkpoints of a segment."""
+    preset: PresetName | None = None
+    """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
+    slot: float | None = None
+    """Seconds of a slot (the paper's delta) in place of the scene file's, such as 0.2 or 1.0."""
     learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=LearnConfig
     )
@@ -87,13 +92,13 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    return run_program("train.mission", Args, train_mission, argv)
+    return run_program("train.mission", Args, train_mission, argv, lambda: with_preset(Args, argv))
 
 
 def train_mission(args: Args) -> int:
     """Order, learn, fly, judge, draw. Raises only before anything is written."""
     _check(args)
-    scene = Scene.find(args.scene)
+    scene = with_slot(Scene.find(args.scene), args.slot)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
         from mjcollect.travel_cost import travel_times
@@ -108,6 +113,8 @@ def train_mission(args: Args) -> int:
         "order_method": method,
         "seed": args.seed,
         "device": args.device,
+        "preset": args.preset,
+        "slot": args.slot,
         "retries": args.retries,
         "learn": dataclasses.asdict(args.learn),
     }
@@ -198,6 +205,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--video" if filmed else "--no-video", *learn_arguments(args.learn),
             "--guidance", str((folder.path / "guidance").resolve()),
+            *(["--preset", args.preset] if args.preset else []),
         ]  # fmt: skip
         return Job(index, tuple(arguments), segment.path)
 

@@ -269,15 +269,21 @@ def stop_on_ctrl_c() -> Iterator[Callable[[], bool]]:
 
 
 def run_program(
-    name: str, args_class: type[T], program: Callable[[T], int], argv: list[str] | None
+    name: str,
+    args_class: type[T],
+    program: Callable[[T], int],
+    argv: list[str] | None,
+    defaults: Callable[[], T] | None = None,
 ) -> int:
     """Parse the command line and run a program; the exit code of the contract.
 
-    A user's mistake is one message and code 2, Ctrl-C is code 130, a full disk is code 1.
+    A user's mistake is one message and code 2, Ctrl-C is code 130, a full disk is code 1. The flags
+    change `defaults`, or those of the class.
     """
     torch.set_num_threads(1)  # with two on a busy two-core machine, updates were 20 times slower
     try:
-        args = tyro.cli(args_class, args=argv, prog=f"python -m {name}")
+        given = tyro.MISSING_NONPROP if defaults is None else defaults()
+        args = tyro.cli(args_class, args=argv, prog=f"python -m {name}", default=given)
     except ValueError as error:  # from a settings class: field, value and fix
         say(f"error: {error}")
         return BAD_INPUT

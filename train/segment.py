@@ -28,6 +28,7 @@ from mjcollect.verify import verify
 from train.flight_recorder import fly
 from train.learn import Trainer
 from train.learn_config import LearnConfig
+from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
     INTERRUPTED,
     RunError,
@@ -67,6 +68,10 @@ class Args:
     """Updates between checkpoints."""
     guidance: Path | None = None
     """Folder in which a mission has saved its guidance, which else takes seconds to build."""
+    preset: PresetName | None = None
+    """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
+    slot: float | None = None
+    """Seconds of a slot (the paper's delta) in place of the scene file's, such as 0.2 or 1.0."""
     learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
         default_factory=LearnConfig
     )
@@ -75,7 +80,7 @@ class Args:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
-    return run_program("train.segment", Args, train_segment, argv)
+    return run_program("train.segment", Args, train_segment, argv, lambda: with_preset(Args, argv))
 
 
 def train_segment(args: Args) -> int:
@@ -86,7 +91,7 @@ def train_segment(args: Args) -> int:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.checkpoint_every < 1:
         raise RunError(f"--checkpoint-every: {args.checkpoint_every}: must be at least 1")
-    scene = Scene.find(args.scene)
+    scene = with_slot(Scene.find(args.scene), args.slot)
     order = plan_order(scene, args.order, seed=args.seed)
     index = first_blocked(scene, order) if args.segment is None else args.segment
     if not 0 <= index <= len(order):
@@ -99,6 +104,8 @@ def train_segment(args: Args) -> int:
         "segment": index,
         "seed": args.seed,
         "device": args.device,
+        "preset": args.preset,
+        "slot": args.slot,
         "learn": dataclasses.asdict(args.learn),
     }
     folder = RunFolder(
