@@ -121,10 +121,11 @@ def test_gradient_of_norm_and_relu_is_autograds(double, backward):
     close(out, to_rest, 1e-12)
 
 
+@pytest.mark.parametrize("steps", ["adam", "sgd"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_updates_follow_algorithm_1(double, kind):
-    """Several updates against plain modules, autograd and one Adam each."""
-    learner = make(kind)
+def test_updates_follow_algorithm_1(double, kind, steps):
+    """Several updates against plain modules, autograd, and one Adam each or plain steps."""
+    learner = make(kind, optimizer=steps)
     actor, critic = copy.deepcopy(learner.actor), copy.deepcopy(learner.critic)
     nets, averaged = (actor, critic), copy.deepcopy(actor)
     targets = copy.deepcopy(nets)
@@ -157,8 +158,11 @@ def test_updates_follow_algorithm_1(double, kind):
         for net, optimizer, gradient, rate in zip(nets, optimizers, gradients, rates, strict=True):
             for p, g in zip(net.parameters(), gradient, strict=True):
                 p.grad = g
-            optimizer.param_groups[0]["lr"] = rate * factor
-            optimizer.step()
+                if steps == "sgd":
+                    p.data -= rate * factor * g
+            if steps == "adam":
+                optimizer.param_groups[0]["lr"] = rate * factor
+                optimizer.step()
         for target, net in zip(targets, nets, strict=True):
             move(target, net, SETTINGS["alpha_target"])
         move(averaged, actor, SETTINGS["average_rate"])
