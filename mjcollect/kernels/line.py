@@ -18,6 +18,7 @@ BEHIND = 6.0  # metres that it may be behind or ahead of its place, along the li
 FASTER = 1.0  # m/s above the line's speed at which it is still followed
 IDLE_SHARE = 0.4  # of the room beside a line, within which nothing is corrected
 GAIN = 0.5  # share of what is beyond that which a slot corrects
+BACK_SHARE = 0.2  # of the line's speed: greatest speed back towards it
 BRAKE_SHARE = 0.5  # of a_max that is counted on to end a motion across the line
 
 
@@ -73,7 +74,8 @@ def follow_row(world: World, w: int, line: Array, q: Array, v: Array, action: Ar
     here, there, heading, now = np.empty(7), np.empty(7), np.empty(3), np.empty(3)
     read_line(line, place, here)
     read_line(line, place + 1, there)
-    fastest = max(unit(there[3:6], heading), unit(here[3:6], now))
+    speed = unit(there[3:6], heading)
+    fastest = max(speed, unit(here[3:6], now))
     if dot(v, heading) > fastest + FASTER:
         return False
     room = min(here[6], there[6])
@@ -91,7 +93,9 @@ def follow_row(world: World, w: int, line: Array, q: Array, v: Array, action: Ar
     if norm(offset) > room or norm(drift) > room:
         return False
     across(gap, heading, offset)
-    back = GAIN * max(1.0 - IDLE_SHARE * room / max(norm(offset), 1e-9), 0.0) / slot
+    far = max(norm(offset), 1e-9)
+    back = GAIN * max(far - IDLE_SHARE * room, 0.0) / slot
+    back = min(back, BACK_SHARE * speed) / far
     # Before the line's start there is no speed to keep to.
     more = a_max * slot if place <= 0.0 else 0.0
     for k in range(3):

@@ -13,7 +13,7 @@ import numpy as np
 
 from mjcollect.compiled import Array, compiled
 from mjcollect.kernels.reward import time_to_rest
-from mjcollect.kernels.vectors import dot, norm, unit
+from mjcollect.kernels.vectors import between, dot, norm, unit
 
 if TYPE_CHECKING:
     from mjcollect.guidance import Way
@@ -68,6 +68,23 @@ def along(
 
 
 @compiled
+def rim(way: Way, goal: Array, radius: float, inwards: Array, share: float, point: Array) -> None:
+    """A point of the goal's ball between where `inwards` enters it and `Way.stop`.
+
+    On the sphere: at first it takes hardly any way to move towards the stop there.
+    """
+    square = 0.0
+    for k in range(3):
+        point[k] = (share - 1.0) * radius * inwards[k] + share * (way.stop[k] - goal[k])
+        square += (share * (way.stop[k] - goal[k])) ** 2
+    reach = between(radius, math.sqrt(square) / max(share, 1e-9), share)
+    size = norm(point)
+    reach *= 1.0 - 0.1 * min(1.0, 4.0 * share)
+    for k in range(3):
+        point[k] = goal[k] + point[k] * (reach / size if size > 0.2 * radius else 1.0)
+
+
+@compiled
 def stop_row(
     way: Way, goal: Array, q: Array, v: Array, a_max: float, top: float, slot: float,
     towards: Array,
@@ -87,16 +104,15 @@ def stop_row(
         return along(goal, way.stop, radius, q, v, a_max, top, slot, towards)
     if far <= radius:
         return 0.0
-    entry, step = np.empty(3), np.empty(3)
-    for k in range(3):
-        entry[k] = goal[k] - radius * towards[k]
+    inwards, step = towards.copy(), np.empty(3)
     least = time_to_rest(far - radius, dot(v, towards), 0.0, a_max, top)
     slots = math.ceil((least + SPARE) / slot)
     low, high = 0.0, 1.0
     for trial in range(9):
         share = 1.0 if trial == 0 else (low + high) / 2
+        rim(way, goal, radius, inwards, share, step)
         for k in range(3):
-            step[k] = entry[k] + share * (way.stop[k] - entry[k]) - q[k]
+            step[k] -= q[k]
         room = unit(step, towards)
         if time_to_rest(room, dot(v, towards), 0.0, a_max, top) <= slots * slot - SPARE:
             low = share
@@ -104,6 +120,7 @@ def stop_row(
                 return room
         else:
             high = share
+    rim(way, goal, radius, inwards, low, step)
     for k in range(3):
-        step[k] = entry[k] + low * (way.stop[k] - entry[k]) - q[k]
+        step[k] -= q[k]
     return unit(step, towards)
