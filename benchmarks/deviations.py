@@ -1,0 +1,276 @@
+"""What each deviation from the paper is worth: one thing at a time set back to the paper's way.
+
+    python -m benchmarks.deviations --out docs/results/deviations.json
+
+The numbers are those of docs/deviations.md; the ones without a flag are missing. Each cell is one
+run of `train.segment`, with its command in the JSON. Cells that the JSON holds already are not run
+again. Prints a table, and says how each change compares with our settings on the same segments and
+seeds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import platform
+import shlex
+import statistics
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from mjcollect.course import Course
+from mjcollect.inspect_scene import first_blocked
+from mjcollect.scene import Scene
+from mjcollect.tour import plan_order
+from train.presets import PAPER, with_slot
+from train.runs import INTERRUPTED, say, stop_on_ctrl_c, versions
+from train.workers import Done, Job, open_workers, run_jobs
+
+KEPT = (
+    "success", "success_rate", "time", "detour_time", "lower_bound", "contacts", "updates",
+    "env_steps", "train_seconds",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is set to the paper's way.
+
+    Attributes:
+        number: of the deviation in docs/deviations.md; empty for none, or all of them.
+        name: in the table. flags: of train.segment. slot: seconds in place of the scene's.
+    """
+
+    number: str
+    name: str
+    flags: tuple[str, ...] = ()
+    slot: float | None = None
+
+
+def paper(*fields: str) -> tuple[str, ...]:
+    """Flags that set these settings to the paper's way."""
+    pairs = ((f"--{name.replace('_', '-')}", str(PAPER[name].value)) for name in fields)
+    return tuple(part for pair in pairs for part in pair)
+
+
+OURS = Change("", "our settings")
+CHANGES = (
+    OURS,
+    Change("1", "slot of 1 s", slot=1.0),
+    Change("7", "paper's reward", paper("reward")),
+    Change("8, 13", "paper's state, thus no residual policy", paper("observation")),
+    Change("9, 19", "one simulation, thus one noise", paper("envs", "u1", "noise_min")),
+    Change("10", "no demonstrations", paper("demonstrations", "guided_share")),
+    Change("11", "plain gradient steps", paper("optimizer")),
+    Change("11", "constant learning rates", paper("final_rate")),
+    Change("11", "actor from the start", paper("actor_delay")),
+    Change("12", "last policy flown", paper("flown")),
+    Change("13", "no residual policy", paper("residual", "hard_residual")),
+    Change("18", "no averaged actor", paper("average_rate")),
+    Change("19", "one noise for all", paper("noise_min")),
+    Change("all", "--preset paper, slot of 0.2 s", ("--preset", "paper"), 0.2),
+    Change("all", "--preset paper, slot of 1 s", ("--preset", "paper"), 1.0),
+)
+
+
+@dataclass(frozen=True)
+class Args:
+    """Learn the same segments with one thing at a time set back to the paper's way."""
+
+    segments: tuple[str, ...] = ("scenario_1", "city_6")
+    """Scenes, of which the first blocked segment is learned, or SCENE:SEGMENT."""
+    seeds: tuple[int, ...] = (0, 1)
+    """Training seeds."""
+    updates: int = 2_500
+    """Updates of every run, at most."""
+    only: tuple[int, ...] = ()
+    """Positions in the table of the changes to run, from 0, which is our settings; default: all."""
+    workers: int = 1
+    """Runs side by side."""
+    out: Path | None = None
+    """JSON file for the results; cells that it holds already are not run again."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run: a change on a segment with a seed."""
+
+    change: Change
+    scene: str
+    segment: int
+    seed: int
+    updates: int
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """Of train.segment."""
+        slot = () if self.change.slot is None else ("--slot", str(self.change.slot))
+        return (
+            "--scene", self.scene, "--segment", str(self.segment), "--seed", str(self.seed),
+            "--updates", str(self.updates), "--extra-updates", "0", "--no-video",
+            *self.change.flags, *slot,
+        )  # fmt: skip
+
+    @property
+    def command(self) -> str:
+        """What anyone can run again."""
+        return shlex.join(("python", "-m", "train.segment", *self.arguments))
+
+
+def plan(args: Args) -> list[Cell]:
+    """All cells, in the order in which they are run.
+
+    Raises:
+        ValueError: a segment that is no number, or a change that there is not.
+    """
+    chosen = args.only or range(len(CHANGES))
+    if not all(0 <= index < len(CHANGES) for index in chosen):
+        raise ValueError(f"--only: {args.only}: must be 0 to {len(CHANGES) - 1}")
+    where = []
+    for text in args.segments:
+        name, _, number = text.partition(":")
+        scene = Scene.find(name)
+        order = plan_order(scene, "lkh")
+        if number and not (number.isdigit() and int(number) <= len(order)):
+            raise ValueError(f"--segments: {text}: {number!r} must be 0 to {len(order)}")
+        where.append((name, int(number) if number else first_blocked(scene, order)))
+    return [
+        Cell(CHANGES[index], scene, segment, seed, args.updates)
+        for index in chosen
+        for scene, segment in where
+        for seed in args.seeds
+    ]
+
+
+def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -> int:
+    """Run the cells that `results` (by command) does not hold.
+
+    Returns:
+        0, 1 if a run ended with an error (the others go on), 130 if Ctrl-C stopped it.
+    """
+    todo = [cell for cell in cells if cell.command not in results]
+    errors = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        guidance = folder / "guidance"  # shared: it does not depend on how the learner is set
+        for scene, segment, slot in {(c.scene, c.segment, c.change.slot): None for c in todo}:
+            changed = with_slot(Scene.find(scene), slot)
+            Course.segment(changed, plan_order(changed, "lkh"), segment).save_guidance(guidance)
+        jobs = [
+            Job(i, (*cell.arguments, "--guidance", str(guidance)), folder / str(i))
+            for i, cell in enumerate(todo)
+        ]
+
+        def finished(done: Done) -> None:
+            cell, path = todo[done.job.index], done.job.folder / "segment.json"
+            if not path.is_file():
+                errors.append(f"{cell.command}: exit code {done.code}: {done.message}")
+                say(f"error: {errors[-1]}")
+                return
+            results[cell.command] = row(cell, json.loads(path.read_text()))
+            have = sum(each.command in results for each in cells)
+            say(f"{have} of {len(cells)} cells: {cell.change.name}, {done.message}")
+            save(results.values(), args)
+
+        with stop_on_ctrl_c() as stopped, open_workers(args.workers, ray=False) as workers:
+            through = run_jobs(workers, jobs, finished, stopped)
+    if not through:
+        return INTERRUPTED
+    return 1 if errors else 0
+
+
+def row(cell: Cell, result: dict[str, Any]) -> dict[str, Any]:
+    """A cell's entry in the JSON."""
+    named = {"deviation": cell.change.number, "change": cell.change.name, "scene": cell.scene}
+    place = {"segment": cell.segment, "seed": cell.seed, "command": cell.command}
+    return named | place | {key: result[key] for key in KEPT}
+
+
+def save(rows: Iterable[dict[str, Any]], args: Args) -> None:
+    """Write the JSON, whole or not at all."""
+    if args.out is None:
+        return
+    document = {
+        "arguments": dataclasses.asdict(args) | {"out": None},
+        "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
+        "versions": versions(),
+        "results": list(rows),
+    }
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    part = args.out.with_name(f".part-{args.out.name}")
+    part.write_text(json.dumps(document, indent=1) + "\n")
+    part.replace(args.out)
+
+
+def table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Lines of the table: a line for each change, means over its cells."""
+    by_change: dict[str, list[dict[str, Any]]] = {}
+    for each in rows:
+        by_change.setdefault(each["change"], []).append(each)
+    ours = {_place(each): each for each in by_change.get(OURS.name, [])}
+    lines = [
+        "| deviation | set to the paper's way | flights with success | success rate "
+        "| time / detour time | against ours | updates | training (s) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, found in by_change.items():
+        good = [each for each in found if each["success"]]
+        pairs = [
+            ratio(each) / ratio(ours[_place(each)])
+            for each in good
+            if ours.get(_place(each), {"success": False})["success"]
+        ]
+        lines.append(
+            f"| {found[0]['deviation'] or '-'} | {name} | {len(good)} of {len(found)} "
+            f"| {statistics.mean(each['success_rate'] for each in found):.2f} "
+            f"| {_mean([ratio(each) for each in good], '.3f')} "
+            f"| {_mean([100 * (pair - 1) for pair in pairs], '+.1f')}{' %' if pairs else ''} "
+            f"| {statistics.mean(each['updates'] for each in found):.0f} "
+            f"| {statistics.mean(each['train_seconds'] for each in found):.0f} |"
+        )
+    return lines
+
+
+def ratio(each: dict[str, Any]) -> float:
+    """Time over detour time."""
+    return float(each["time"] / each["detour_time"])
+
+
+def _place(each: dict[str, Any]) -> tuple[Any, ...]:
+    return each["scene"], each["segment"], each["seed"]
+
+
+def _mean(values: Sequence[float], form: str) -> str:
+    return f"{statistics.mean(values):{form}}" if values else "-"
+
+
+def main(args: Args) -> int:
+    """Run, print, save."""
+    try:
+        cells = plan(args)
+    except ValueError as error:
+        say(f"error: {error}")
+        return 2
+    results: dict[str, dict[str, Any]] = {}
+    if args.out is not None and args.out.is_file():
+        held = json.loads(args.out.read_text())["results"]
+        results = {each["command"]: each for each in held}
+    code = run(cells, results, args)
+    asked = [results[cell.command] for cell in cells if cell.command in results]
+    print("\n".join(table(asked)))
+    print(
+        "\nMeans; the success rate is over 32 starts, the times over flights with success. "
+        "'against ours': the same segments and seeds, where both arrived."
+    )
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Args)))
