@@ -100,7 +100,7 @@ def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
             peak = 0.0
             while process.poll() is None:
                 peak = max(peak, memory(process.pid))
-                time.sleep(0.5)
+                time.sleep(3.0)  # reading the sizes takes a tenth of a second of a core
         if not (out / "mission.json").is_file():
             raise SystemExit((Path(folder) / "messages").read_text()[-2000:])
         result = json.loads((out / "mission.json").read_text())
