@@ -5,11 +5,12 @@
 The numbers are those of docs/deviations.md; the ones without a flag are missing. Each cell is one
 run of `train.segment`, with its command in the JSON. Cells that the JSON holds already are not run
 again. Prints a table, and says how each change compares with our settings on the same segments and
-seeds.
+seeds. `benchmarks.curves` draws how they learned.
 """
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 import os
@@ -175,6 +176,7 @@ def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -
                 say(f"error: {errors[-1]}")
                 return
             results[cell.command] = row(cell, json.loads(path.read_text()))
+            results[cell.command]["curve"] = curve(done.job.folder / "metrics.csv")
             have = sum(each.command in results for each in cells)
             say(f"{have} of {len(cells)} cells: {cell.change.name}, {done.message}")
             save(results.values(), args)
@@ -191,6 +193,17 @@ def row(cell: Cell, result: dict[str, Any]) -> dict[str, Any]:
     named = {"deviation": cell.change.number, "change": cell.change.name, "scene": cell.scene}
     place = {"segment": cell.segment, "seed": cell.seed, "command": cell.command}
     return named | place | {key: result[key] for key in KEPT}
+
+
+def curve(metrics: Path) -> dict[str, list[float | None]]:
+    """The evaluations in a metrics.csv: updates, success rate, mean time of the arrivals."""
+    if not metrics.is_file():
+        return {}
+    with metrics.open() as lines:
+        rows = list(csv.DictReader(lines))
+    columns = ("update", "eval_success_rate", "eval_mean_time")
+    values = {name: [float(row[name] or "nan") for row in rows] for name in columns}
+    return {name: [None if v != v else v for v in each] for name, each in values.items()}
 
 
 def save(rows: Iterable[dict[str, Any]], args: Args) -> None:
