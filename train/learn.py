@@ -160,7 +160,8 @@ class Trainer:
     def _evaluate(self) -> None:
         """Fly the actor and the average of past actors; keep the better if it is to be flown."""
         actors = [self.learner.actor]
-        actors += [self.learner.averaged] if self.config.average_rate > 0.0 else []
+        if self.config.average_rate > 0.0 and self.learner.updates > 0:  # the same at first
+            actors.append(self.learner.averaged)
         tried = [
             (self.evaluator(TrainedPolicy(actor, self.config.observation)), actor)
             for actor in actors
