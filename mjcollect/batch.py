@@ -8,6 +8,7 @@ rules, the same as the single dm-control environment's.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -55,13 +56,11 @@ class Simulations:
         self.rng = rng or np.random.default_rng(0)
         self.episodes = Episodes(courses, count, rules)
         solid = PRESETS[rules.reward].crash_ends
-        models: dict[int, mujoco.MjModel] = {}
-        for course in courses:
-            if id(course.scene) not in models:
-                models[id(course.scene)] = compile_model(course.scene, solid=solid)
+        scenes = {id(course.scene): course.scene for course in courses}
+        models = {key: _compiled(scene, solid) for key, scene in scenes.items()}
         each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
         self._models = each
-        room = _largest([course.scene for course in courses])
+        room = each[0] if len(models) == 1 else _largest(list(scenes.values()))
         self._data = [mujoco.MjData(room) for _ in range(threads)]
         # With one thread mujoco steps in the caller; threads=0 in its own terms.
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
@@ -129,6 +128,12 @@ class Simulations:
         With `chosen` (n,) only those simulations' rows, (n, D).
         """
         return np.concatenate(list(self.episodes.observe(chosen).values()), axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _compiled(scene: Scene, solid: bool) -> mujoco.MjModel:
+    """The scene's model, which nobody changes: training and evaluation share it."""
+    return compile_model(scene, solid=solid)
 
 
 def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:

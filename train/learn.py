@@ -100,8 +100,8 @@ class Trainer:
         config = self.config
         while len(self.buffer) < max(config.demonstrations, config.batch):
             self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
-        if not self.rows:
-            self._evaluate()  # of what nothing has been learned for yet
+        if not self.rows and self.learner.residual:
+            self._evaluate()  # the law's own flight: what is learned must beat it
         while not self.finished:
             for _ in range(config.u1):
                 early = self.learner.updates < config.guided_until * config.updates
@@ -131,11 +131,14 @@ class Trainer:
     @torch.no_grad()
     def _operate(self, guided: torch.Tensor) -> None:
         """One environment operation in every simulation, stored in the buffer."""
-        step = self.learner.actor(self._now)
-        action = step["action"].cpu()
         if guided.any():
             law = torch.from_numpy(self.env.simulations.episodes.guidance_action()).float()
-            action = torch.where(guided[:, None], law, action)
+        if guided.all():
+            step, action = self._now.copy(), law
+        else:
+            step = self.learner.actor(self._now)
+            action = step["action"].cpu()
+            action = torch.where(guided[:, None], law, action) if guided.any() else action
         noise = torch.randn(action.shape, generator=self.noise) * self._scale
         step["action"] = (action + noise).clamp(-1.0, 1.0).to(self.device)
         step, self._now = self.env.step_and_maybe_reset(step)
