@@ -34,7 +34,10 @@ RATES: list[Column] = [
     ("eval_success_rate", "success, evaluation", GREEN, "o"),
     ("crash_rate", "crashes, training", RED, None),
 ]
-TIME: list[Column] = [("eval_time", "evaluation", GREEN, "o")]
+TIME: list[Column] = [
+    ("eval_time", "evaluation", GREEN, "o"),
+    ("best_time", "best, kept", BLACK, None),
+]
 CRITIC: list[Column] = [("critic_loss", "critic loss", BLUE, None)]
 ACTOR: list[Column] = [("actor_loss", "actor loss", ORANGE, None)]
 
