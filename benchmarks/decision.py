@@ -10,9 +10,6 @@ every state, the fast ones several times in a row, each call timed.
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,6 +21,7 @@ import torch
 import tyro
 from tensordict import TensorDict
 
+from benchmarks.results import save
 from mjcollect.course import Course
 from mjcollect.episode import Episodes, Rules
 from mjcollect.planners.mpc import HORIZON, Mpc
@@ -33,7 +31,6 @@ from mjcollect.tour import plan_order
 from train.ddpg import make_actor
 from train.flight_recorder import record
 from train.policies import TrainedPolicy
-from train.runs import versions
 
 TARGET = 0.1  # ms, for the network alone and with the observation
 NETWORK, TORCH = "policy: network", "policy: network through torch"
@@ -133,15 +130,8 @@ def main(args: Args) -> None:
             f"| {row['way']} | {row['median_ms']:.4f} | {row['p95_ms']:.4f} "
             f"| {row['faster_than_mpc']:.1f} | {target} |"
         )
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        document = {
-            "arguments": {key: str(value) for key, value in dataclasses.asdict(args).items()},
-            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-            "versions": versions(),
-            "results": rows,
-        }
-        args.out.write_text(json.dumps(document, indent=1) + "\n")
+    arguments = {key: str(value) for key, value in dataclasses.asdict(args).items()}
+    save(args.out, {"results": rows}, arguments=arguments)
 
 
 if __name__ == "__main__":

@@ -13,25 +13,24 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
-import os
-import platform
 import shlex
 import statistics
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tyro
 
+from benchmarks.results import save
 from mjcollect.course import Course
 from mjcollect.inspect_scene import first_blocked
 from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.presets import PAPER, with_slot
-from train.runs import INTERRUPTED, say, stop_on_ctrl_c, versions
+from train.runs import INTERRUPTED, say, stop_on_ctrl_c
 from train.workers import Done, Job, open_workers, run_jobs
 
 KEPT = (
@@ -179,7 +178,8 @@ def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -
             results[cell.command]["curve"] = curve(done.job.folder / "metrics.csv")
             have = sum(each.command in results for each in cells)
             say(f"{have} of {len(cells)} cells: {cell.change.name}, {done.message}")
-            save(results.values(), args)
+            rows = {"results": list(results.values())}
+            save(args.out, rows, arguments=dataclasses.asdict(args))
 
         with stop_on_ctrl_c() as stopped, open_workers(args.workers, ray=False) as workers:
             through = run_jobs(workers, jobs, finished, stopped)
@@ -204,22 +204,6 @@ def curve(metrics: Path) -> dict[str, list[float | None]]:
     columns = ("update", "eval_success_rate", "eval_mean_time")
     values = {name: [float(row[name] or "nan") for row in rows] for name in columns}
     return {name: [None if v != v else v for v in each] for name, each in values.items()}
-
-
-def save(rows: Iterable[dict[str, Any]], args: Args) -> None:
-    """Write the JSON, whole or not at all."""
-    if args.out is None:
-        return
-    document = {
-        "arguments": dataclasses.asdict(args) | {"out": None},
-        "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-        "versions": versions(),
-        "results": list(rows),
-    }
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    part = args.out.with_name(f".part-{args.out.name}")
-    part.write_text(json.dumps(document, indent=1) + "\n")
-    part.replace(args.out)
 
 
 def table(rows: Sequence[dict[str, Any]]) -> list[str]:

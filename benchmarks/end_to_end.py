@@ -15,9 +15,6 @@ Needs `pip install .[bench]`.
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
-import platform
 import statistics
 import time
 from collections.abc import Iterator
@@ -31,6 +28,7 @@ import torch
 import tyro
 from stable_baselines3.common.noise import NormalActionNoise
 
+from benchmarks.results import save
 from benchmarks.sb3 import make_sb3, peer_versions
 from mjcollect.course import Course
 from mjcollect.inspect_scene import first_blocked
@@ -249,20 +247,15 @@ def main(args: Args) -> None:
         f"CPU time {least}{ratios['cpu_seconds']:.2f}, updates {least}{ratios['updates']:.2f}\n"
         f"target {TARGET:g} in time: {'met' if met else 'MISSED'}"
     )
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        document = {
-            "arguments": dataclasses.asdict(args) | {"out": None},
-            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-            "versions": peer_versions(),
-            "config": dataclasses.asdict(config),
-            "target": TARGET,
-            "met": met,
-            "ratios": ratios,
-            "ratio_is_lower_bound": bound,
-            "results": dict(zip(args.seeds, results, strict=True)),
-        }
-        args.out.write_text(json.dumps(document, indent=1) + "\n")
+    content = {
+        "config": dataclasses.asdict(config),
+        "target": TARGET,
+        "met": met,
+        "ratios": ratios,
+        "ratio_is_lower_bound": bound,
+        "results": dict(zip(args.seeds, results, strict=True)),
+    }
+    save(args.out, content, arguments=dataclasses.asdict(args), versions=peer_versions())
 
 
 def report(name: str, run: dict[str, Any]) -> None:

@@ -12,9 +12,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import json
-import os
-import platform
 import statistics
 import time
 from collections.abc import Callable
@@ -28,6 +25,7 @@ import tyro
 from stable_baselines3.common.buffers import ReplayBuffer
 from tensordict import TensorDict
 
+from benchmarks.results import save
 from benchmarks.sb3 import Spaces, make_sb3, peer_versions
 from train.ddpg import make_actor, make_buffer, make_critic
 from train.lean import LEARNERS
@@ -248,16 +246,8 @@ def main(args: Args) -> None:
             verdict = "met" if met[peer] else "MISSED"
             print(f"target: {least} of {LABELS[peer]}: {reached[peer]:.2f}, {verdict}")
         results.append({"width": width, "batch": batch, "table": table, "met": met})
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        document = {
-            "arguments": dataclasses.asdict(args) | {"out": None},
-            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-            "versions": peer_versions(),
-            "targets": TARGETS,
-            "results": results,
-        }
-        args.out.write_text(json.dumps(document, indent=1) + "\n")
+    content = {"targets": TARGETS, "results": results}
+    save(args.out, content, arguments=dataclasses.asdict(args), versions=peer_versions())
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -26,6 +24,7 @@ from typing import Any
 import torch
 import tyro
 
+from benchmarks.results import save
 from mjcollect.course import Course
 from mjcollect.generate import generate
 from mjcollect.planners.mpc import Mpc
@@ -34,7 +33,6 @@ from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.flight_recorder import Flight, fly_law, record
 from train.mission_report import mission_result
-from train.runs import versions
 
 SHOWN = ("success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations")
 Row = dict[str, Any]
@@ -161,24 +159,9 @@ def missions(args: Args, rows: list[Row]) -> None:
             row |= {"order_method": args.order, "seed": scene.seed}
             row |= {key: result[key] for key in SHOWN} | {"seconds": seconds} | more
             rows.append(row)
-            save(args, rows)
+            save(args.out, {"results": rows})
             time_flown = f"{row['mission_time']:.1f} s" if row["success"] else "no success"
             print(f"{scene.name}: {name}: {time_flown}, in {seconds:.0f} s", flush=True)
-
-
-def save(args: Args, rows: list[Row]) -> None:
-    """Write the results whole, through a temporary file."""
-    if args.out is None:
-        return
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    document = {
-        "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-        "versions": versions(),
-        "results": rows,
-    }
-    part = args.out.with_suffix(".part")
-    part.write_text(json.dumps(document, indent=1) + "\n")
-    os.replace(part, args.out)
 
 
 def summary(rows: list[Row]) -> list[str]:

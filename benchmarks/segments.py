@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import platform
 import statistics
 import tempfile
 import time
@@ -21,6 +19,7 @@ from pathlib import Path
 
 import tyro
 
+from benchmarks.results import save
 from mjcollect.bounds import detour_bound
 from mjcollect.course import Course
 from mjcollect.generate import generate
@@ -29,7 +28,6 @@ from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.learn import Trainer
 from train.learn_config import LearnConfig
-from train.runs import versions
 from train.segment import Args as SegmentArgs
 from train.segment import train_segment
 
@@ -118,16 +116,7 @@ def main(args: Args) -> None:
     marks = [row["mark_seconds"] or float("inf") for row in results]
     print(f"seconds to success within {MARK} of detour time: "
           f"median {statistics.median(marks):.1f}, worst {max(marks):.1f}")  # fmt: skip
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        machine = {"cpus": os.cpu_count(), "processor": platform.machine()}
-        document = {
-            "arguments": dataclasses.asdict(args) | {"out": None},
-            "machine": machine,
-            "versions": versions(),
-            "results": results,
-        }
-        args.out.write_text(json.dumps(document, indent=1) + "\n")
+    save(args.out, {"results": results}, arguments=dataclasses.asdict(args))
 
 
 if __name__ == "__main__":

@@ -11,9 +11,6 @@ seconds count all threads; wall-clock ratios compare with raw mj_step on as many
 from __future__ import annotations
 
 import dataclasses
-import json
-import os
-import platform
 import statistics
 import time
 import warnings
@@ -28,13 +25,13 @@ import torch
 import tyro
 from torchrl.envs import DMControlWrapper
 
+from benchmarks.results import save
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
 from mjcollect.mjcf import compile_model
 from mjcollect.scene import Scene
 from mjcollect.task import make_environment
 from mjcollect.tour import plan_order
-from train.runs import versions
 
 RAW, ROLLOUT = "raw mj_step", "mujoco.rollout, N = 256"
 SINGLE, WRAPPED = "dm-control environment", "dm-control environment, TorchRL's wrapper"
@@ -217,16 +214,8 @@ def main(args: Args) -> None:
         print(
             f"| {target['target']} | {target['value']:.2f} | {'yes' if target['met'] else 'no'} |"
         )
-    if args.out:
-        document = {
-            "arguments": dataclasses.asdict(args) | {"out": None},
-            "machine": {"cpus": os.cpu_count(), "processor": platform.machine()},
-            "versions": versions(),
-            "results": rows,
-            "targets": targets,
-        }
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(document, indent=1) + "\n")
+    content = {"results": rows, "targets": targets}
+    save(args.out, content, arguments=dataclasses.asdict(args))
 
 
 def judged(rows: list[dict], args: Args) -> list[dict]:
