@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, figure, save
+from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure, save
 
-PURPLE = "#CC79A7"
 COLOURS = {
     "our settings": GREEN,
     "no residual policy": BLUE,

@@ -22,7 +22,8 @@ from mjcollect.trajectory import Trajectory
 
 DPI = 120
 # Okabe and Ito's palette: told apart by the colour-blind.
-BLUE, ORANGE, GREEN, RED, BLACK = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#222222"
+BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
+BLACK = "#222222"
 LABEL: dict[str, Any] = {"size": 11, "color": BLACK}
 
 # Panels of the learning figure: columns with their name in the legend, colour and marker.

@@ -39,6 +39,22 @@ def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Ar
     return np.array([*points, aim])
 
 
+def marks(path: Array) -> Array:
+    """Metres along a polyline (P, 3) to each of its points, (P,)."""
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(length)])
+
+
+def interpolate(points: Array, at_points: Array, at: float | Array) -> Array:
+    """Points (..., 3) at `at` (...) on a polyline (P, 3) whose points are at `at_points` (P,)."""
+    return np.stack([np.interp(at, at_points, points[:, axis]) for axis in range(3)], axis=-1)
+
+
+def point_along(path: Array, metres: float | Array) -> Array:
+    """Points (..., 3) at `metres` (...) along a polyline (P, 3), which ends where it ends."""
+    return interpolate(path, marks(path), metres)
+
+
 def path_length(points: Array) -> float:
     """Length in metres of a polyline (P, 3)."""
     return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))

@@ -39,6 +39,7 @@ from train.workers import (
     attempt_seed,
     connect_ray,
     learn_arguments,
+    need_ray,
     open_workers,
     run_jobs,
 )
@@ -166,12 +167,7 @@ def _check(args: Args) -> None:
         if not torch.cuda.is_available():
             raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
     if args.ray is not None:
-        try:
-            import ray  # noqa: F401
-        except ImportError:
-            raise RunError(
-                "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
-            ) from None
+        need_ray()
 
 
 def _segment_folder(folder: RunFolder, index: int) -> RunFolder:

@@ -29,7 +29,7 @@ from train.reproduction.plan import PARTS, PLANNERS, Cell, Plan, Sizes, make_pla
 from train.reproduction.prepare import note_machine, time_orders, write_scenes
 from train.reproduction.running import Settings, fly_cells, result_of
 from train.runs import INTERRUPTED, RunError, RunFolder, run_program, say
-from train.workers import connect_ray
+from train.workers import connect_ray, need_ray
 
 QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, first_scene=7001)
 QUICK_TRAINING = ("--updates", "300", "--extra-updates", "0", "--retries", "0")
@@ -156,12 +156,7 @@ def sizes_of(args: Args) -> Sizes:
         if not getattr(args, field):
             raise RunError(f"--{field}: names none; leave it out to fly all")
     if args.ray is not None:
-        try:
-            import ray  # noqa: F401
-        except ImportError:
-            raise RunError(
-                "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
-            ) from None
+        need_ray()
     given = {
         field: getattr(args, field)
         for field in ("training_seeds", "floating", "city", "items")

@@ -171,6 +171,20 @@ class RayWorkers:
         self._ray.shutdown()
 
 
+def need_ray() -> None:
+    """Check that Ray is installed.
+
+    Raises:
+        RunError: it is not.
+    """
+    try:
+        import ray  # noqa: F401
+    except ImportError:
+        raise RunError(
+            "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
+        ) from None
+
+
 def connect_ray(address: str) -> None:
     """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
 

@@ -51,7 +51,7 @@ def look(
                     towards[k] = point[k]
             for k in range(3):
                 point[k] = q[i, k]
-        if len(way.line) == 0 or not follow_row(world, w, way.line, q[i], v[i], law[i]):
+        if not follow_row(world, w, way.line, q[i], v[i], law[i]):
             law_row(world, w, q[i], v[i], room, towards, corner, law[i])
         for k in range(3):
             towards[k] = direction[i, k]

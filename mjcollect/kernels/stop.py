@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from mjcollect.guidance import Way
 
 SPARE = 0.01  # seconds of what is to spare that are not counted on
+RIM_SHARE = 0.1  # of the radius that a stop moved by RIM_REACHED of the way, or more, keeps inside
+RIM_REACHED = 0.25
+ASTRIDE = 0.2  # of the radius: nearer to the centre the way to the stop leads through the ball
 STRETCH = 1e-6  # share of a slot by which a time may exceed whole slots
 
 
@@ -71,17 +74,19 @@ def along(
 def rim(way: Way, goal: Array, radius: float, inwards: Array, share: float, point: Array) -> None:
     """A point of the goal's ball between where `inwards` enters it and `Way.stop`.
 
-    On the sphere: at first it takes hardly any way to move towards the stop there.
+    Near the sphere, where at first it takes hardly any way to move towards the stop; not on it,
+    or a turn that is not exact to the millimetre would miss the ball.
     """
     square = 0.0
     for k in range(3):
-        point[k] = (share - 1.0) * radius * inwards[k] + share * (way.stop[k] - goal[k])
-        square += (share * (way.stop[k] - goal[k])) ** 2
-    reach = between(radius, math.sqrt(square) / max(share, 1e-9), share)
+        aside = way.stop[k] - goal[k]
+        point[k] = between(-radius * inwards[k], aside, share)
+        square += aside**2
+    reach = between(radius, math.sqrt(square), share)
+    reach *= 1.0 - RIM_SHARE * min(share / RIM_REACHED, 1.0)
     size = norm(point)
-    reach *= 1.0 - 0.1 * min(1.0, 4.0 * share)
     for k in range(3):
-        point[k] = goal[k] + point[k] * (reach / size if size > 0.2 * radius else 1.0)
+        point[k] = goal[k] + point[k] * (reach / size if size > ASTRIDE * radius else 1.0)
 
 
 @compiled

@@ -20,7 +20,7 @@ import numpy as np
 from mjcollect.flight import World
 from mjcollect.geometry import Array, segment_clear
 from mjcollect.guidance import Guidance
-from mjcollect.paths import path_length
+from mjcollect.paths import marks, path_length, point_along
 from mjcollect.planners.plan import Plan, is_flyable
 from mjcollect.planners.program import COMFORT, Program
 from mjcollect.reward import time_to_go
@@ -220,10 +220,10 @@ class Mpc:
         """
         scene = self._course.scene
         there = _along(way, end) + LEAD
-        point = _point_along(way, there)
+        point = point_along(way, there)
         if segment_clear(end, point, scene.obstacles, scene.uav_radius):
             return point
-        points = _point_along(way, np.arange(there, 0.0, -GRAIN))
+        points = point_along(way, np.arange(there, 0.0, -GRAIN))
         seen = segment_clear(end, points, scene.obstacles, scene.uav_radius)
         return np.asarray(points[int(seen.argmax())])
 
@@ -261,11 +261,11 @@ class Mpc:
         scene = self._course.scene
         if segment_clear(q, path[-1], scene.obstacles, scene.uav_radius):
             return np.stack([q, path[-1]])
-        corners = _marks(path)
+        corners = marks(path)
         here = _along(path, q)
         joins = here + np.arange(0.0, JOIN, GRAIN)
         tried = np.unique(np.concatenate([joins[joins < corners[-1]], corners[corners > here]]))
-        points = _point_along(path, tried)
+        points = point_along(path, tried)
         seen = np.flatnonzero(segment_clear(q, points, scene.obstacles, scene.uav_radius))
         entry = int(seen[-1]) if len(seen) else 0
         return np.concatenate([[q, points[entry]], path[corners > tried[entry]]])
@@ -279,7 +279,7 @@ class Mpc:
         speed = push * np.minimum(np.minimum(t, time - t), ramp)
         covered = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * scene.slot)])
         length = path_length(leg.way)
-        return _point_along(leg.way, covered * min(1.0, length / max(covered[-1], 1e-9)))
+        return point_along(leg.way, covered * min(1.0, length / max(covered[-1], 1e-9)))
 
 
 def _along(path: Array, point: Array) -> float:
@@ -291,15 +291,3 @@ def _along(path: Array, point: Array) -> float:
     gap = np.linalg.norm(path[:-1] + share[:, None] * step - point, axis=1)
     nearest = int(gap.argmin())
     return float(length[:nearest].sum() + share[nearest] * length[nearest])
-
-
-def _marks(path: Array) -> Array:
-    """Metres along `path` (P, 3) to each of its points, (P,)."""
-    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(length)])
-
-
-def _point_along(path: Array, metres: float | Array) -> Array:
-    """Points (..., 3) at `metres` (...) along `path` (P, 3), which ends where it ends."""
-    marks = _marks(path)
-    return np.stack([np.interp(metres, marks, path[:, axis]) for axis in range(3)], axis=-1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjcollect.geometry import Array, segment_clear
-from mjcollect.paths import path_length, tighten
+from mjcollect.paths import interpolate, marks, path_length, point_along, tighten
 from mjcollect.planners.allotment import Route, reach
 from mjcollect.planners.program import COMFORT
 from mjcollect.planners.tour_program import TourProgram
@@ -43,7 +43,8 @@ class Way:
 
 def resample(path: Array, slots: int) -> Array:
     """Positions (slots + 1, 3) of the motion `path` (M + 1, 3) flown in another number of slots."""
-    return _between(path, np.arange(0.0, len(path)), np.linspace(0.0, len(path) - 1.0, slots + 1))
+    at = np.linspace(0.0, len(path) - 1.0, slots + 1)
+    return interpolate(path, np.arange(0.0, len(path)), at)
 
 
 def fitted(path: Array, slots: int, begin: Array, end: Array) -> Array:
@@ -55,15 +56,10 @@ def fitted(path: Array, slots: int, begin: Array, end: Array) -> Array:
 
 def guess(way: Array, scene: Scene, slots: int) -> Array:
     """Positions (slots + 1, 3) of a motion from rest to rest along a polyline (P, 3)."""
-    marks = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     k = np.arange(slots + 1)
     ramp = scene.a_max * scene.slot * np.minimum(k, slots - k)
     covered = np.cumsum(np.minimum(ramp, scene.v_max))
-    return _between(way, marks, covered * (marks[-1] / covered[-1]))
-
-
-def _between(points: Array, marks: Array, at: Array) -> Array:
-    return np.stack([np.interp(at, marks, points[:, axis]) for axis in range(3)], axis=-1)
+    return point_along(way, covered * (marks(way)[-1] / covered[-1]))
 
 
 def explore(scene: Scene, path: Array, statuses: Counter[str]) -> Way:

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, figure, save
+from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure, save
 from train.reproduction.paper import DDPG, LKH_DDPG, MPC, SCHEMES, SWEEP
 from train.reproduction.plan import ABLATION, PLANNERS
 from train.reproduction.wording import percent
 
-PURPLE = "#CC79A7"
 GREY = "#C9CFD6"
 ORDER_NAMES = {"random": "random order", "lkh": "LKH", "lkh-time": "LKH, obstacle-aware cost"}
 PLANNER_NAMES = {"policy": "DDPG", "mpc": "MPC", "guidance": "guidance law",
