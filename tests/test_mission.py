@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from train.fly import scene_difference
 from train.mission import _keep_best
 from train.mission import main as mission
 from train.runs import RunFolder
+from train.workers import Job
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--updates 24 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 --u2 4 "
@@ -164,7 +166,7 @@ def test_the_best_training_is_kept_however_often_it_is_asked(tmp_path):
 
 def test_a_training_without_a_result_is_not_repeated(scene_file, tmp_path, capsys, monkeypatch):
     """Python's exit code of an unforeseen error is 1 too."""
-    monkeypatch.setattr("train.workers.sys.executable", "/bin/false")
+    monkeypatch.setattr("train.mission.Job", partial(Job, program="no_such_module"))
     assert run(scene_file, tmp_path / "out") == 1
     assert re.search(r"segment [01]: exit code 1", capsys.readouterr().err)  # whichever ended first
 
@@ -184,6 +186,17 @@ def test_items_within_reach_of_the_depot_have_no_ratio(tmp_path, capsys):
     result = json.loads((tmp_path / "out" / "mission.json").read_text())
     assert (result["lower_bound"], result["ratio"]) == (0.0, None)
     assert "success: 1 items in 0.4 s" in capsys.readouterr().out
+
+
+def test_no_plots_if_not_wanted(scene_file, tmp_path):
+    out = tmp_path / "out"
+    law = ["--planner", "guidance", "--scene", str(scene_file), "--out", str(out), "--no-video"]
+    fly([*law, "--no-plots"])
+    assert not list(out.glob("*.png"))
+    assert ".png" not in (out / "report.md").read_text()
+    fly([*law, "--overwrite"])
+    assert {path.name for path in out.glob("*.png")} == {"path_3d.png", "path_top.png", "speed.png"}
+    assert "speed.png" in (out / "report.md").read_text()
 
 
 def test_the_law_takes_no_credit_for_the_training(finished, tmp_path):

@@ -46,10 +46,10 @@ CELLS = ["scenario_1-guidance-0.2.1.3", "scenario_1-guidance-2.3.0.1",
 def use_stub(folder):
     """Fly every cell by a stub that notes it in `folder`/log."""
     (folder / "flight_stub.py").write_text(STUB)
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    sys.path.insert(0, str(folder))
     os.environ["STUB_LOG"] = str(folder / "log")
 
-    def arguments_of(cell, scene, mission):
+    def arguments_of(cell, scene, mission, keep):
         order = ",".join(map(str, cell.order))
         return "flight_stub", ("--scene", str(scene), "--order", order)
 
@@ -59,7 +59,7 @@ def use_stub(folder):
 
 @pytest.fixture
 def stub(tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", os.environ.get("PYTHONPATH", ""))
+    monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv("STUB_LOG", "")
     monkeypatch.setattr(running, "arguments_of", running.arguments_of)
     monkeypatch.setattr(reproduce, "QUICK", reproduce.QUICK)

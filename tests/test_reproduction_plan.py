@@ -79,15 +79,16 @@ def test_names_tell_cells_apart():
 
 
 def test_arguments_fly_the_cell(tmp_path):
-    program, words = arguments_of(Cell("s", (1, 0), "policy", 3), tmp_path, ["--updates", "9"])
+    updates = ["--updates", "9"]
+    program, words = arguments_of(Cell("s", (1, 0), "policy", 3), tmp_path, updates, keep=False)
     assert program == "train.mission"
     assert words[words.index("--order") + 1] == "1,0"
     assert words[words.index("--seed") + 1] == "3"
-    assert {"--resume", "--no-video", "--updates"} <= set(words)
-    program, words = arguments_of(Cell("s", (1, 0), "mpc", 0), tmp_path, ["--updates", "9"])
+    assert {"--resume", "--no-video", "--no-plots", "--updates"} <= set(words)
+    program, words = arguments_of(Cell("s", (1, 0), "mpc", 0), tmp_path, updates, keep=True)
     assert program == "train.fly"
     assert words[words.index("--planner") + 1] == "mpc"
-    assert "--updates" not in words
+    assert not {"--updates", "--no-plots"} & set(words)
 
 
 def test_the_board_expects_what_it_measured():

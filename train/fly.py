@@ -52,6 +52,8 @@ class Args:
     """Start anew in a folder that is not empty."""
     video: bool = True
     """Render mission.mp4."""
+    plots: bool = True
+    """Draw the plots."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -203,7 +205,7 @@ def _finish(
     """Judge, write everything, print the result; 0 if it is a success."""
     result = mission_result(course, order, method, flight, trained, seed)
     result["planner"] = args.planner
-    write_flight(folder, course, order, flight)
+    write_flight(folder, course, order, flight, plots=args.plots)
     folder.write_json("mission.json", result)
     folder.unlock()
     if args.video:
@@ -213,7 +215,7 @@ def _finish(
         if reason:
             say(f"no video: {reason}")
     filmed = (folder.path / "mission.mp4").is_file()
-    folder.write_text("report.md", report(course.scene, result, filmed, notes))
+    folder.write_text("report.md", report(course.scene, result, filmed, args.plots, notes))
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

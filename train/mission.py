@@ -24,6 +24,7 @@ from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
 from train.policies import TrainedPolicy
 from train.presets import PresetName, with_preset, with_slot
+from train.processes import warm_up
 from train.runs import (
     INTERRUPTED,
     RunError,
@@ -79,6 +80,8 @@ class Args:
     """Start anew in a folder that is not empty."""
     video: bool = True
     """Render mission.mp4, and each segment's video up to 10 items."""
+    plots: bool = True
+    """Draw the plots, also each segment's."""
     checkpoint_every: int = 1000
     """Updates between the checkpoints of a segment."""
     preset: PresetName | None = None
@@ -124,10 +127,12 @@ def train_mission(args: Args) -> int:
     )
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("mission.json") is not None:
-        return _finish(folder, args.video)
+        return _finish(folder, args)
     if args.resume:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
+    if args.ray is None:
+        warm_up()
     say("computing the guidance of every segment")
     guidance = folder.path / "guidance"
     course = Course.mission(scene, order, guidance)
@@ -144,8 +149,9 @@ def train_mission(args: Args) -> int:
         flight = fly(course, policies, args.learn.observation)
         trained = [segment.read_json("segment.json") for segment in segments]
         result = mission_result(course, order, method, flight, trained, args.seed)
-        write_flight(folder, course, order, flight)
-        write_learning(folder, len(segments))
+        write_flight(folder, course, order, flight, plots=args.plots)
+        if args.plots:
+            write_learning(folder, len(segments))
         folder.write_json("mission.json", result)
         shutil.rmtree(guidance, ignore_errors=True)
     except TrainingError as error:
@@ -153,7 +159,7 @@ def train_mission(args: Args) -> int:
         return 1
     finally:
         folder.unlock()
-    return _finish(folder, args.video)
+    return _finish(folder, args)
 
 
 def _check(args: Args) -> None:
@@ -199,7 +205,8 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--order", ",".join(map(str, order)),
             "--seed", str(attempt_seed(args.seed, index, attempt)),
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
-            "--video" if filmed else "--no-video", *learn_arguments(args.learn),
+            "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
+            *learn_arguments(args.learn),
             "--guidance", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
         ]  # fmt: skip
@@ -285,16 +292,16 @@ def _film(folder: RunFolder, items: int) -> None:
             return
 
 
-def _finish(folder: RunFolder, video: bool) -> int:
+def _finish(folder: RunFolder, args: Args) -> int:
     """Render what is missing, write the report, print the result; 0 if it is a success."""
     result = folder.read_json("mission.json")
     assert result is not None
-    if video:
+    if args.video:
         _film(folder, len(result["order"]))
     notes = _notes(folder, len(result["segments"]))
     scene = Scene.load(folder.path / "scene.json")
     filmed = (folder.path / "mission.mp4").is_file()
-    folder.write_text("report.md", report(scene, result, filmed, notes))
+    folder.write_text("report.md", report(scene, result, filmed, args.plots, notes))
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

@@ -17,6 +17,7 @@ from mjcollect.progress import node_name
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
 from train.mission_report import read_metrics
+from train.runs import RunFolder
 
 REFRESH = 1.0  # seconds between looks at the segments' metrics
 
@@ -70,8 +71,13 @@ class MissionDisplay:
             )
 
     def _last(self, index: int) -> dict[str, float]:
-        rows = read_metrics(self._folder / "segments" / str(index) / "metrics.csv")
-        return rows[-1] if rows else {}
+        """The last row of a segment's metrics; of a finished one with the kept policy's success."""
+        folder = RunFolder(self._folder / "segments" / str(index))
+        rows = read_metrics(folder.path / "metrics.csv")
+        last = rows[-1] if rows else {}
+        if (result := folder.read_json("segment.json")) is not None:
+            last["eval_success_rate"] = result["success_rate"]
+        return last
 
     def _total(self) -> float:
         return sum(self._last(index).get("update", 0.0) for index in range(len(self._ways)))

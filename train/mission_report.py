@@ -75,10 +75,14 @@ def mission_result(
     }
 
 
-def write_flight(folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight) -> None:
-    """trajectory.csv and the plots of the flight."""
+def write_flight(
+    folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight, *, plots: bool
+) -> None:
+    """trajectory.csv and, if wanted, the plots of the flight."""
     scene = course.scene
     folder.write("trajectory.csv", flight.trajectory.save)
+    if not plots:
+        return
     flown = (scene, flight.trajectory, order)
     folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
     folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
@@ -107,7 +111,9 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
         ]
 
 
-def report(scene: Scene, result: dict[str, Any], video: bool, notes: Sequence[str] = ()) -> str:
+def report(
+    scene: Scene, result: dict[str, Any], video: bool, plots: bool, notes: Sequence[str] = ()
+) -> str:
     """One page in Markdown: verdict, table of segments, pictures."""
     lines = [f"# Mission in {scene.name}", ""]
     if result["success"]:
@@ -150,11 +156,14 @@ def report(scene: Scene, result: dict[str, Any], video: bool, notes: Sequence[st
         "estimate of the least time along the shortest free path.",
         "",
         *(["[Video](mission.mp4)", ""] if video else []),
-        "![Flown path](path_3d.png)",
-        "![Top view](path_top.png)",
-        "![Speed and acceleration](speed.png)",
     ]
-    if any(entry["updates"] for entry in result["segments"]):
+    if plots:
+        lines += [
+            "![Flown path](path_3d.png)",
+            "![Top view](path_top.png)",
+            "![Speed and acceleration](speed.png)",
+        ]
+    if plots and any(entry["updates"] for entry in result["segments"]):
         lines.append("![Learning curves](learning.png)")
     return "\n".join(lines) + "\n"
 

@@ -64,6 +64,8 @@ class Args:
     """Start anew in a folder that is not empty."""
     video: bool = True
     """Render segment.mp4."""
+    plots: bool = True
+    """Draw the plots."""
     checkpoint_every: int = 1000
     """Updates between checkpoints."""
     guidance: Path | None = None
@@ -131,7 +133,7 @@ def _run(course: Course, order: tuple[int, ...], index: int, folder: RunFolder, 
         if not _learn(trainer, folder, args):
             say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
             return INTERRUPTED
-        _finish(trainer, folder, course.scene, order, index)
+        _finish(trainer, folder, course.scene, order, index, args.plots)
     finally:
         trainer.close()
     return _report(folder, args.video)
@@ -174,11 +176,10 @@ def _progress(row: dict[str, float], bound: float) -> str:
 
 
 def _finish(
-    trainer: Trainer, folder: RunFolder, scene: Scene, order: tuple[int, ...], index: int
-) -> None:
+    trainer: Trainer, folder: RunFolder, scene: Scene, order: tuple[int, ...], index: int,
+    plots: bool,
+) -> None:  # fmt: skip
     """Fly the best policy, judge it, and write every file but the video; segment.json last."""
-    from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
-
     frm, to = legs(order)[index]
     if trainer.best_policy is not None:
         trainer.learner.actor.load_state_dict(trainer.best_policy)
@@ -192,13 +193,16 @@ def _finish(
     folder.write_metrics(trainer.rows)
     folder.write("policy.pt", policy.save)
     folder.write("trajectory.csv", flight.trajectory.save)
-    ways = (scene, flight.trajectory, order, index, trainer.course.guidance[0].path)
-    folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
-    folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
-    metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
-    folder.write(
-        "learning.png", lambda part: plot_learning(part, metrics, bound=bound, detour=detour)
-    )
+    if plots:
+        from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
+
+        ways = (scene, flight.trajectory, order, index, trainer.course.guidance[0].path)
+        folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
+        folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
+        metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
+        folder.write(
+            "learning.png", lambda part: plot_learning(part, metrics, bound=bound, detour=detour)
+        )
     folder.write_json(
         "segment.json",
         {

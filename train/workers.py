@@ -11,14 +11,13 @@ import contextlib
 import ctypes
 import dataclasses
 import io
-import queue
 import shutil
 import signal
 import subprocess
 import sys
 import tarfile
 import tempfile
-import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ import numpy as np
 
 from train.evaluation import stream
 from train.learn_config import LearnConfig
+from train.processes import Program, ended
 from train.runs import RunError
 
 
@@ -71,55 +71,34 @@ class LocalWorkers:
     """Runs jobs in up to `count` processes, which end with this one."""
 
     def __init__(self, count: int) -> None:
-        """Prepare `count` threads, each of which waits for one process at a time."""
-        self._jobs: queue.Queue[Job | None] = queue.Queue()
-        self._done: queue.Queue[Done] = queue.Queue()
-        self._running: set[subprocess.Popen[str]] = set()
-        self._stopping = False
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(count)]
-        for thread in self._threads:
-            thread.start()
+        """Nothing runs yet."""
+        self.count = count
+        self._waiting: deque[Job] = deque()
+        self._running: dict[Program, Job] = {}
 
     def submit(self, job: Job) -> None:
         """Queue a job."""
-        self._jobs.put(job)
+        self._waiting.append(job)
 
     def next_done(self, timeout: float) -> Done | None:
-        """The next finished job, or None after `timeout` seconds."""
-        with contextlib.suppress(queue.Empty):
-            return self._done.get(timeout=timeout)
+        """The next finished job, or None after `timeout` seconds; starts those whose turn it is."""
+        while self._waiting and len(self._running) < self.count:
+            job = self._waiting.popleft()
+            started = Program(job.program, (*job.arguments, "--out", str(job.folder)))
+            self._running[started] = job
+        for program in ended(list(self._running), timeout):
+            code, output = program.result()
+            return Done(self._running.pop(program), code, _last_line(output))
         return None
 
     def stop(self) -> None:
         """Let the running jobs save a checkpoint and end; start no further ones."""
-        self._stopping = True
-        for process in list(self._running):
-            process.send_signal(signal.SIGINT)
-        for _ in self._threads:
-            self._jobs.put(None)
-        for thread in self._threads:
-            thread.join()
-
-    def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            if self._stopping:
-                continue
-            command = [sys.executable, "-m", job.program, *job.arguments]
-            process = subprocess.Popen(
-                [*command, "--out", str(job.folder)],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                start_new_session=True,  # Ctrl-C comes from `stop`, once
-                preexec_fn=_end_with_parent,
-            )
-            self._running.add(process)
-            if self._stopping:  # `stop` may have looked before this one was there
-                process.send_signal(signal.SIGINT)
-            output, _ = process.communicate()
-            self._running.discard(process)
-            self._done.put(Done(job, process.returncode, _last_line(output)))
+        self._waiting.clear()
+        for program in self._running:
+            program.interrupt()
+        for program in self._running:
+            program.result()
+        self._running.clear()
 
 
 def _end_with_parent() -> None:

@@ -51,9 +51,12 @@ def result_of(out: Path, cell: Cell) -> dict[str, Any] | None:
     return result if result is not None and tuple(result["order"]) == cell.order else None
 
 
-def arguments_of(cell: Cell, scene: Path, mission: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+def arguments_of(
+    cell: Cell, scene: Path, mission: Sequence[str], keep: bool
+) -> tuple[str, tuple[str, ...]]:
     """Program and arguments, without --out, that fly a cell; a stopped one is gone on with."""
     common = ["--scene", str(scene), "--order", ",".join(map(str, cell.order)), "--no-video"]
+    common += [] if keep else ["--no-plots"]
     if cell.planner == "policy":
         more = ["--seed", str(cell.seed), "--workers", "1", "--resume", *mission]
         return "train.mission", (*common, *more)
@@ -78,7 +81,7 @@ def fly_cells(out: Path, cells: Sequence[Cell], settings: Settings) -> tuple[boo
     jobs = []
     for index, cell in enumerate(todo):
         scene = (out / "scenes" / f"{cell.scene}.json").resolve()
-        program, arguments = arguments_of(cell, scene, settings.mission)
+        program, arguments = arguments_of(cell, scene, settings.mission, settings.keep)
         jobs.append(Job(index, arguments, cell_folder(out, cell).path.resolve(), program))
     errors: dict[str, str] = {}
     board = Board(todo, len(cells) - len(todo), settings.workers)
