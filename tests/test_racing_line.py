@@ -13,7 +13,7 @@ from mjcollect.bounds import leg_time
 from mjcollect.course import Course
 from mjcollect.flight import World, slot_path
 from mjcollect.kernels.line import BEHIND, FASTER, follow_row
-from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.mpc import WALLS, Mpc
 from mjcollect.racing_line import MOST_ROOM, least_slots, racing_line, rehearse
 from mjcollect.scene import Scene
 from train.flight_recorder import record
@@ -49,6 +49,24 @@ def test_a_sharp_turn_is_flown_quicker_and_clear(bend):
     assert with_it.least_gap(bend.scene.obstacles) >= RADIUS - 1e-9
     assert with_it.farthest_outside(bend.scene.bounds) <= 1e-6
     assert with_it.slots.mean() < without.slots.mean() - 1
+
+
+def test_a_line_out_of_a_corner_keeps_clear_of_the_bounds():
+    """Else it would have no room, and could not be followed."""
+    alley = scene([[[60.0, 8, 0], [100, 60, 60]]], depot=(0, 0, 0), item=(110, 50, 30))
+    course = Course.segment(alley, (0,), 0)
+    line = course.guidance[0].way.line
+    assert len(line) > 2
+    low, high = alley.bounds
+    clear = np.minimum(line[:, :3] - low, high - line[:, :3]).min(axis=1)
+    growing = clear[: np.argmax(clear > WALLS - 0.01)]
+    assert len(growing) < 20
+    assert (np.diff(growing) > 0).all()
+    assert clear[len(growing) :].min() > WALLS - 0.01
+    plain = without_line(course)
+    assert rehearse(course.guidance[0], alley.depot[None]) < rehearse(
+        plain.guidance[0], alley.depot[None]
+    )
 
 
 def test_a_straight_leg_has_no_line():

@@ -35,6 +35,7 @@ GRAIN = 2.0  # metres between the places on the path tried for being in sight
 JOIN = 60.0  # metres along the path within which it is joined between its corners
 FIRST_SHARE = 0.6  # of a_max at which the first guess moves along the path
 ROUNDS = 6  # of solving anew round the last solution where there is no plan yet
+WALLS = 2.0  # metres to keep from the bounds where a body is given
 SETTLED = 0.5  # metres by which a round's end moves when nothing more is to be gained
 TRIES = 3  # numbers of slots tried in a decision
 INSIDE = 1e-3  # metres of the tolerance kept in reserve
@@ -92,7 +93,8 @@ class Mpc:
 
         Args:
             horizon: slots planned. look_past: within its ball, stop as near to the next target as
-                the time allows. body: metres to keep from boxes, if more than the UAV's radius.
+                the time allows. body: metres to keep from boxes, if more than the UAV's radius; and
+                `WALLS` from the bounds, but for a start and an end beside them.
 
         Raises:
             ValueError: the horizon is too short.
@@ -104,7 +106,7 @@ class Mpc:
         scene = course.scene
         if body is not None:
             scene = dataclasses.replace(scene, uav_radius=max(body, scene.uav_radius))
-        self._program = Program(scene)
+        self._program = Program(scene, WALLS if body is not None else 0.0)
         self._plan: Plan | None = None
         self._target = -1
         self.counts: Counter[str] = Counter()
