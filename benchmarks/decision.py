@@ -72,11 +72,11 @@ def measure(args: Args) -> dict[str, list[float]]:
 
     def look(episodes: Episodes) -> np.ndarray:
         """The observation from position, velocity and target."""
-        probe.load({"q": episodes.q, "v": episodes.v, "target": episodes.target})
+        probe.load({"truth": episodes.q, "v": episodes.v, "target": episodes.target})
         return np.concatenate(list(probe.observe().values()), axis=1)[0].astype(np.float32)
 
     def by_law(episodes: Episodes) -> np.ndarray:
-        probe.load({"q": episodes.q, "v": episodes.v, "target": episodes.target})
+        probe.load({"truth": episodes.q, "v": episodes.v, "target": episodes.target})
         return probe.guidance_action()[0]
 
     policy = (

@@ -20,6 +20,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mjcollect.course import Course, StartKind
+from mjcollect.disturbance import Disturbances
 from mjcollect.episode import Episodes, Outcome, Rules
 from mjcollect.flight import Bools
 from mjcollect.geometry import Array
@@ -44,17 +45,19 @@ class Simulations:
         start: StartKind = "point",
         rng: np.random.Generator | None = None,
         threads: int = 2,
+        disturbances: Disturbances | None = None,
     ) -> None:
         """Compile one model per distinct scene and prepare the threads.
 
         Args:
             courses: one for all, or one per simulation. count: N. rules: observation and reward.
-            start: kind of start states; rng draws them. threads: of MuJoCo.
+            start: kind of start states; rng draws them. threads: of MuJoCo. disturbances: of these
+                simulations, if there are any.
         """
         rules = rules or Rules()
         self.count, self.start = count, start
         self.rng = rng or np.random.default_rng(0)
-        self.episodes = Episodes(courses, count, rules)
+        self.episodes = Episodes(courses, count, rules, disturbances)
         solid = PRESETS[rules.reward].crash_ends
         scenes = {id(course.scene): course.scene for course in courses}
         models = {key: _compiled(scene, solid) for key, scene in scenes.items()}
@@ -94,12 +97,19 @@ class Simulations:
     def step(self, action: Array) -> Outcome:
         """Fly one slot with raw actions (N, 3)."""
         self.acceleration = self.episodes.begin_slot(action)
-        self.roll(self.acceleration)
+        disturbances, flown = self.episodes.disturbances, self.acceleration
+        if disturbances is not None:
+            flown = disturbances.controls(self.episodes.world, self.acceleration)
+        self.roll(flown)
         return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
 
     def roll(self, acceleration: Array) -> None:
-        """Let MuJoCo fly one slot with accelerations (N, 3) in m/s^2; no rules of flight."""
-        self._control[:] = acceleration[:, None]
+        """Let MuJoCo fly one slot with accelerations in m/s^2; no rules of flight.
+
+        Args:
+            acceleration: (N, 3) held for the slot, or (N, n, 3) for its physics steps.
+        """
+        self._control[:] = acceleration if acceleration.ndim == 3 else acceleration[:, None]
         self._rollout.rollout(
             self._models,
             self._data,

@@ -7,19 +7,21 @@ velocities only, not which simulator moves the body.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect import kernels
 from mjcollect.course import Course
-from mjcollect.flight import Bools, Slot, World, command, judge
+from mjcollect.disturbance import MARGIN, REST_SPEED, Disturbances
+from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge
 from mjcollect.geometry import FAR, Array
 from mjcollect.observation import OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
 LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
+SAVED = ("truth", "observed", "v", "target", "collected", "steps", "crashed")  # an episode's state
 GAMMA = 0.99  # discount per slot, also that of the learner
 
 
@@ -67,11 +69,18 @@ class Episodes:
     """N episodes, each on a course of its own or all on one.
 
     Attributes:
-        q, v: (N, 3) positions and velocities. target: (N,) index of each one's current target.
+        truth, observed, v: (N, 3) positions, the same as far as they are known if disturbed, and
+            velocities. target: (N,) index of each one's current target.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
     """
 
-    def __init__(self, courses: Sequence[Course], count: int, rules: Rules) -> None:
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        count: int,
+        rules: Rules,
+        disturbances: Disturbances | None = None,
+    ) -> None:
         """Prepare `count` episodes, on one course or one each.
 
         Raises:
@@ -80,6 +89,7 @@ class Episodes:
         if len(courses) not in (1, count):
             raise ValueError(f"courses: {len(courses)}: must be 1 or the batch size {count}")
         self.courses, self.count, self.rules = tuple(courses), count, rules
+        self.disturbances = disturbances
         self.world = World.stack(
             [courses[0].scene]
             if all(course.scene is courses[0].scene for course in courses)
@@ -104,7 +114,7 @@ class Episodes:
             scene = distinct[w].scene
             self._items[index, : len(scene.items)] = scene.items
             self._depot[index] = scene.depot
-        self.q, self.v = np.zeros((count, 3)), np.zeros((count, 3))
+        self.truth, self.observed, self.v = (np.zeros((count, 3)) for _ in range(3))
         self.target = self._first.copy()
         self._before = np.zeros((count, most), dtype=bool)
         for index, w in enumerate(which):
@@ -116,13 +126,21 @@ class Episodes:
         self._all = np.arange(count)
         self._approach = self._look()
 
+    @property
+    def q(self) -> Array:
+        """Positions (N, 3) as far as they are known: what decisions are made from."""
+        return self.truth if self.disturbances is None else self.observed
+
     def course(self, index: int) -> Course:
         """The course of episode `index`."""
         return self.courses[index if len(self.courses) > 1 else 0]
 
     def reset(self, which: NDArray[np.intp], q: Array, v: Array) -> None:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
-        self.q[which], self.v[which] = q, v
+        self.truth[which], self.v[which] = q, v
+        if self.disturbances is not None:
+            self.disturbances.begin(which)
+            self.observed[which] = self.disturbances.seen(q, which)
         self.target[which] = self._first[which]
         self.collected[which] = self._before[which]
         self.steps[which] = 0
@@ -130,7 +148,7 @@ class Episodes:
         self._look_anew(self._approach, which)
 
     def load(self, state: dict[str, Array]) -> None:
-        """Go on from saved attributes q, v, target, collected, steps and crashed."""
+        """Go on from saved attributes, `SAVED`."""
         for name, value in state.items():
             setattr(self, name, value)
         self._approach = self._look()
@@ -148,15 +166,19 @@ class Episodes:
             path: (N, n, 3) positions after each physics step. v: (N, 3) velocity at the end.
             sensed: (N, n) contact sensor after each step.
         """
-        slot = judge(self.world, self.q, path, sensed, self._stop)
+        margin = BOUNDS_TOLERANCE if self.disturbances is None else MARGIN
+        slot = judge(self.world, self.truth, path, sensed, self._stop, margin)
         before = self._approach
-        self.q, self.v = path[:, -1].copy(), v.copy()
+        self.truth, self.v = path[:, -1].copy(), v.copy()
         if self._preset.crash_ends:
             ended = slot.crashed
         else:
             # Contact is sensed, not resolved: motion went on, so the stop holds all the same.
             ended = np.zeros(self.count, dtype=bool)
             slot = Slot(slot.contact, slot.outside, self._stop.copy(), slot.first_event)
+        if self.disturbances is not None:
+            slot = replace(slot, arrived=slot.arrived & self._rests())
+            self.observed = self.disturbances.seen(self.truth)
         after = self._look()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
         self.crashed |= slot.crashed
@@ -174,6 +196,12 @@ class Episodes:
         return Outcome(
             reward, slot, terminated, ~terminated & (self.steps >= self.step_limit), success
         )
+
+    def _rests(self) -> Bools:
+        """Where (N,) a disturbed stop is one: slow enough, and within the tolerance."""
+        miss = np.linalg.norm(self.truth - self._goal[self.target], axis=1)
+        slow = np.linalg.norm(self.v, axis=1) <= REST_SPEED
+        return np.asarray(slow & (miss <= self._tolerance[self.target]))
 
     def observe(self, which: NDArray[np.intp] | None = None) -> Parts:
         """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""

@@ -173,10 +173,12 @@ def leaves_bounds(world: World, path: Array) -> Bools:
     return _events(world, whole, np.zeros(path.shape[:2], dtype=bool))[1]
 
 
-def _events(world: World, path: Array, sensed: Bools) -> tuple[Bools, Bools]:
+def _events(
+    world: World, path: Array, sensed: Bools, margin: float = BOUNDS_TOLERANCE
+) -> tuple[Bools, Bools]:
     """`contacts` and `leaves_bounds` of a path (N, n + 1, 3)."""
     touch, outside = sensed.copy(), np.empty(sensed.shape, dtype=bool)
-    kernels.events(world, plain(path), BOUNDS_TOLERANCE, touch, outside)
+    kernels.events(world, plain(path), margin, touch, outside)
     return touch, outside
 
 
@@ -201,15 +203,19 @@ class Slot:
         return self.contact | self.outside
 
 
-def judge(world: World, start: Array, path: Array, sensed: Bools, stop: Bools) -> Slot:
+def judge(
+    world: World, start: Array, path: Array, sensed: Bools, stop: Bools,
+    margin: float = BOUNDS_TOLERANCE,
+) -> Slot:  # fmt: skip
     """Judge a slot from its physics steps.
 
     Args:
         start: (N, 3) position at the slot's start. path: (N, n, 3) positions after each step.
         sensed: (N, n) contact sensor after each step. stop: (N,) whether it flew the stop.
+        margin: metres beyond the bounds that are still inside.
     """
     whole = np.concatenate([start[:, None], path], axis=1)
-    touch, out = _events(world, whole, sensed)
+    touch, out = _events(world, whole, sensed, margin)
     event = touch | out
     first = np.where(event.any(axis=1), event.argmax(axis=1), path.shape[1])
     contact, outside = np.any(touch, axis=1), np.any(out, axis=1)

@@ -213,7 +213,7 @@ def test_p_tells_what_is_collected(courses):
     seen = []
     for node in course.nodes[1:]:
         q = course.scene.point(node)[None]
-        episodes.q, episodes.v = q.copy(), np.zeros((1, 3))
+        episodes.truth, episodes.v = q.copy(), np.zeros((1, 3))
         episodes.begin_slot(np.zeros((1, 3)))
         episodes.end_slot(
             np.repeat(q[:, None], 10, axis=1), np.zeros((1, 3)), np.zeros((1, 10), bool)

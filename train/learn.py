@@ -14,7 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
-from mjcollect.episode import Rules
+from mjcollect.episode import SAVED, Rules
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
 from train.lean import LEARNERS
@@ -214,8 +214,7 @@ class Trainer:
             "start_rng": self.env.simulations.rng.bit_generator.state,
             "simulations": torch.from_numpy(self.env.simulations.state.copy()),
             "episode_state": {
-                name: torch.from_numpy(getattr(episodes, name).copy())
-                for name in ("q", "v", "target", "collected", "steps", "crashed")
+                name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED
             },
             "now": self._now.to_dict(),
             "returns": self._returns.clone(),
