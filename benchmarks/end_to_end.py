@@ -36,7 +36,7 @@ from mjcollect.scene import Scene
 from mjcollect.task import make_environment
 from mjcollect.tour import plan_order
 from train.evaluation import Evaluator
-from train.learn import Trainer
+from train.learn import segment_trainer
 from train.learn_config import LearnConfig
 
 TARGET = 3.0
@@ -98,7 +98,7 @@ class FlightGym(gymnasium.Env):
 
 def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[dict[str, float]]:
     """Our training, yielding each evaluation."""
-    trainer = Trainer(course, config, seed)
+    trainer = segment_trainer(course, config, seed)
     seen = 0
     try:
         for updates in trainer.run():
@@ -116,7 +116,7 @@ def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[dict[str, f
 
 def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[dict[str, float]]:
     """SB3's training, in its own loop from evaluation to evaluation, yielding each."""
-    env, evaluator = FlightGym(course, config, seed), Evaluator(course, config, seed)
+    env, evaluator = FlightGym(course, config, seed), Evaluator([course], config, seed)
     demonstrations = config.demonstrations if args.sb3_demonstrations else 0
     share = 0.0  # of the way down to the final learning rates
     model = make_sb3(
@@ -175,7 +175,7 @@ def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int, cou
 
 def warm_up(course: Course, config: LearnConfig) -> None:
     """Let numba compile, or load, what both sides use before any clock runs."""
-    trainer = Trainer(course, config, seed=0)
+    trainer = segment_trainer(course, config, seed=0)
     next(iter(trainer.run()))
     trainer.close()
     env = FlightGym(course, config, seed=0)

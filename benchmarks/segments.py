@@ -26,7 +26,7 @@ from mjcollect.generate import generate
 from mjcollect.inspect_scene import first_blocked, segments_table
 from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
-from train.learn import Trainer
+from train.learn import segment_trainer
 from train.learn_config import LearnConfig
 from train.segment import Args as SegmentArgs
 from train.segment import train_segment
@@ -73,7 +73,7 @@ def to_mark(scene: Scene, seed: int) -> dict[str, float | None]:
     order = plan_order(scene, "lkh")
     course = Course.segment(scene, order, first_blocked(scene, order))
     limit = MARK * detour_bound(scene, *course.nodes, course.guidance[0].length)
-    trainer = Trainer(course, LearnConfig(), seed)
+    trainer = segment_trainer(course, LearnConfig(), seed)
     found: dict[str, float | None] = {"mark_seconds": None, "mark_updates": None}
     for _ in trainer.run():
         last = trainer.rows[-1]

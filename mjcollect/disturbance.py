@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.flight import World
+from mjcollect.flight import Bools, World
 from mjcollect.geometry import Array
 
 GUST_SECONDS = 1.0  # in which a gust's memory falls to 1/e
@@ -55,15 +55,22 @@ class Disturbances:
     """The disturbances of N simulations."""
 
     def __init__(
-        self, level: Disturbance, count: int, rng: np.random.Generator, *, vary: bool = False
+        self,
+        level: Disturbance,
+        count: int,
+        rng: np.random.Generator,
+        *,
+        vary: bool = False,
+        calm: Bools | None = None,
     ) -> None:
         """Prepare for `count` simulations.
 
         Args:
             level: how strong. vary: it is the greatest; each episode draws a share of it, uniform
-                in [0, 1], of every kind by itself.
+                in [0, 1], of every kind by itself. calm: (N,) where nothing disturbs.
         """
         self.level, self.count, self.rng, self.vary = level, count, rng, vary
+        self.calm = np.zeros(count, dtype=bool) if calm is None else calm
         self._wind, self._gusts = np.zeros((count, 3)), np.zeros((count, 3))
         self._strength, self._gain = np.zeros((count, 1)), np.ones((count, 1))
         self._late, self._noise = np.zeros(count), np.zeros((count, 1))
@@ -72,7 +79,7 @@ class Disturbances:
     def begin(self, which: NDArray[np.intp]) -> None:
         """Draw anew for episodes that begin in the simulations `which` (n,)."""
         level, n = self.level, len(which)
-        share = self.rng.random((5, n)) if self.vary else np.ones((5, n))
+        share = (self.rng.random((5, n)) if self.vary else np.ones((5, n))) * ~self.calm[which]
         angle, sign = 2 * np.pi * self.rng.random(n), self.rng.choice([-1.0, 1.0], n)
         wind = level.wind * share[0]
         self._wind[which] = np.stack([wind * np.cos(angle), wind * np.sin(angle), 0 * wind], axis=1)
@@ -109,7 +116,7 @@ class Disturbances:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the level."""
-        arrays = {name: value.copy() for name, value in vars(self).items() if name[0] == "_"}
+        arrays = {name: value.tolist() for name, value in vars(self).items() if name[0] == "_"}
         return {**arrays, "rng": self.rng.bit_generator.state}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -117,4 +124,4 @@ class Disturbances:
         self.rng.bit_generator.state = state["rng"]
         for name, value in state.items():
             if name != "rng":
-                setattr(self, name, value.copy())
+                setattr(self, name, np.array(value))

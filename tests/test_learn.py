@@ -9,7 +9,7 @@ from mjcollect.course import Course
 from mjcollect.scene import Scene
 from train.ddpg import Learner, make_buffer
 from train.evaluation import Evaluation, Evaluator, stream
-from train.learn import Trainer
+from train.learn import segment_trainer
 from train.learn_config import LearnConfig
 from train.runs import RunFolder
 
@@ -37,7 +37,7 @@ def weights(trainer):
 
 
 def trained(course, config, seed=0):
-    trainer = Trainer(course, config, seed)
+    trainer = segment_trainer(course, config, seed)
     for _ in trainer.run():
         pass
     trainer.close()
@@ -55,13 +55,13 @@ def test_same_seed_same_policy_other_seed_another(course):
 def test_stopped_and_resumed_equals_one_go(course, tmp_path, stop_after):
     whole = trained(course, SMALL)
     folder = RunFolder(tmp_path)
-    first = Trainer(course, SMALL, 0)
+    first = segment_trainer(course, SMALL, 0)
     for rounds, _ in enumerate(first.run(), start=1):
         if rounds == stop_after:
             break
     folder.save_checkpoint(trainer=first, buffer=first.buffer)
     first.close()
-    second = Trainer(course, SMALL, 0)
+    second = segment_trainer(course, SMALL, 0)
     assert folder.load_checkpoint(trainer=second, buffer=second.buffer)
     for _ in second.run():
         pass
@@ -75,7 +75,7 @@ def test_stopped_and_resumed_equals_one_go(course, tmp_path, stop_after):
 
 
 def test_budget_grows_only_without_success(course):
-    trainer = Trainer(course, dataclasses.replace(SMALL, extra_updates=40), 0)
+    trainer = segment_trainer(course, dataclasses.replace(SMALL, extra_updates=40), 0)
     assert trainer.budget == 160
     trainer.best = Evaluation(1.0, True, 5.0, 5.0, 5.0, 0.0)
     assert trainer.budget == 120
@@ -168,9 +168,9 @@ def test_bad_settings_name_the_field(field, value):
 def test_learns_to_fly_round_the_gate(course, residual):
     """A short budget arrives from everywhere; with the law in the policy never later than it."""
     config = LearnConfig(updates=4000, residual=residual)
-    evaluator = Evaluator(course, config, seed=0)
+    evaluator = Evaluator([course], config, seed=0)
     law = evaluator(lambda _: evaluator.sims.episodes.guidance_action())
-    untrained = evaluator(Trainer(course, config, 0).policy)
+    untrained = evaluator(segment_trainer(course, config, 0).policy)
     evaluator.close()
     best = trained(course, config).best
     assert best.success_rate == 1.0

@@ -12,7 +12,7 @@ from mjcollect.course import Course
 from mjcollect.scene import Scene
 from train import mission, segment
 from train.evaluation import Evaluator
-from train.learn import Trainer
+from train.learn import segment_trainer
 from train.learn_config import LearnConfig
 from train.presets import OPEN, PAPER, PRESETS, with_preset, with_slot
 from train.runs import RunError
@@ -165,7 +165,7 @@ def test_without_demonstrations_the_law_never_flies(scene, monkeypatch):
     """Under the preset all transitions, from the first on, are the policy's with noise."""
     course = Course.segment(scene, (0,), 0)
     config = parse(segment, "--preset", "paper", *TINY).learn
-    trainer = Trainer(course, config, 0)
+    trainer = segment_trainer(course, config, 0)
     monkeypatch.setattr(trainer.env.simulations.episodes, "guidance_action", lambda: 1 / 0)
     for _ in trainer.run():
         pass
@@ -182,7 +182,7 @@ def test_the_last_policy_is_flown_if_wanted(scene, monkeypatch):
         updates=24, extra_updates=0, envs=4, batch=8, width=8, demonstrations=64, eval_every=8,
         eval_episodes=2, actor_delay=0,
     )  # fmt: skip
-    trainer = Trainer(course, dataclasses.replace(small, **last), 0)
+    trainer = segment_trainer(course, dataclasses.replace(small, **last), 0)
     evaluated = []
     evaluate = Evaluator.__call__
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
+from mjcollect.disturbance import Disturbances
 from mjcollect.episode import Rules
 from mjcollect.racing_line import least_slots
 from train.learn_config import LearnConfig
@@ -26,14 +27,15 @@ class Evaluation:
 
     Attributes:
         success_rate: share of the starts from which it arrived.
-        point_success, point_time: whether and in how many seconds it arrived from the point.
+        point_rate: share of the courses on which it arrived from the start point itself.
+        point_time: seconds in which it did so, on average; NaN if it never did.
         mean_time: over the arrivals, in seconds; NaN if there were none.
         mean_cost: the same with what the places of the stops cost on the next leg.
         mean_return: undiscounted return over all starts.
     """
 
     success_rate: float
-    point_success: bool
+    point_rate: float
     point_time: float
     mean_time: float
     mean_cost: float
@@ -43,36 +45,55 @@ class Evaluation:
     def rank(self) -> tuple[float, ...]:
         """Larger is better: arrive from the point, from everywhere, then sooner."""
         cost = self.mean_cost if math.isfinite(self.mean_cost) else math.inf
-        return (float(self.point_success), self.success_rate, -cost)
+        return (self.point_rate, self.success_rate, -cost)
 
 
 class Evaluator:
-    """Flies policies from the same starts every time."""
+    """Flies policies from the same starts, and through the same disturbances, every time."""
 
-    def __init__(self, course: Course, config: LearnConfig, seed: int) -> None:
-        """Draw the starts from the stream `evaluate`."""
-        self._course = course
-        rng = np.random.default_rng(stream(seed, "evaluate"))
-        rules = Rules(config.observation, config.reward, config.gamma)
-        self.sims = Simulations([course], config.eval_episodes, rules=rules, threads=config.threads)
-        point = course.starts("point", 1, rng)
-        ball = course.starts("ball", config.eval_episodes - 1, rng)
-        self._q = np.concatenate([point[0], ball[0]])
-        self._v = np.concatenate([point[1], ball[1]])
-        self.least = self._least_time()
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        config: LearnConfig,
+        seed: int,
+        disturbances: Disturbances | None = None,
+    ) -> None:
+        """Draw the starts on every course, of one leg each, from the stream `evaluate`.
 
-    def _least_time(self) -> float:
-        """Estimate of the least `Evaluation.mean_cost` in s.
-
-        Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
+        Args:
+            disturbances: of len(courses) * config.eval_episodes simulations, course by course.
         """
-        scene, guide = self._course.scene, self._course.guidance[0]
-        saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
-        return float(least_slots(guide, self._q).mean()) * scene.slot - saved
+        rng, each = np.random.default_rng(stream(seed, "evaluate")), config.eval_episodes
+        self.sims = Simulations(
+            [courses[0]] if len(courses) == 1 else [c for c in courses for _ in range(each)],
+            len(courses) * each,
+            rules=Rules(config.observation, config.reward, config.gamma),
+            threads=config.threads,
+            disturbances=disturbances,
+        )
+        self._fresh = None if disturbances is None else disturbances.state_dict()
+        starts = [
+            course.starts(*kind, rng)
+            for course in courses
+            for kind in (("point", 1), ("ball", each - 1))
+        ]
+        self._q, self._v = (np.concatenate(part) for part in zip(*starts, strict=True))
+        self._points = np.arange(0, len(self._q), each)
+        self.least = float(
+            np.mean(
+                [
+                    _least_time(c, self._q[k : k + each])
+                    for c, k in zip(courses, self._points, strict=True)
+                ]
+            )
+        )
 
     def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
         """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""
         sims, count = self.sims, len(self._q)
+        if self._fresh is not None:
+            assert sims.episodes.disturbances is not None
+            sims.episodes.disturbances.load_state_dict(self._fresh)
         sims.place(np.arange(count), self._q, self._v)
         running = np.ones(count, dtype=bool)
         success, slots, total = np.zeros(count, bool), np.zeros(count), np.zeros(count)
@@ -86,10 +107,11 @@ class Evaluator:
             slots += running
             running &= ~(outcome.terminated | outcome.truncated)
         time = slots * sims.episodes.world.slot
+        arrived = self._points[success[self._points]]
         return Evaluation(
             success_rate=float(success.mean()),
-            point_success=bool(success[0]),
-            point_time=float(time[0]) if success[0] else math.nan,
+            point_rate=len(arrived) / len(self._points),
+            point_time=float(time[arrived].mean()) if len(arrived) else math.nan,
             mean_time=float(time[success].mean()) if success.any() else math.nan,
             mean_cost=float((time + onward)[success].mean()) if success.any() else math.nan,
             mean_return=float(total.mean()),
@@ -98,3 +120,13 @@ class Evaluator:
     def close(self) -> None:
         """Stop the simulations' threads."""
         self.sims.close()
+
+
+def _least_time(course: Course, q: np.ndarray) -> float:
+    """Estimate of the least `Evaluation.mean_cost` in s from starts (n, 3) on a course's one leg.
+
+    Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
+    """
+    scene, guide = course.scene, course.guidance[0]
+    saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
+    return float(least_slots(guide, q).mean()) * scene.slot - saved

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
+from mjcollect.disturbance import Disturbances
 from mjcollect.episode import SAVED, Rules
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
@@ -37,23 +38,26 @@ class Trainer:
             left to do. seconds: spent training, kept by the caller.
     """
 
-    def __init__(self, course: Course, config: LearnConfig, seed: int, device: str = "cpu") -> None:
-        """Build the simulations, the networks and the random streams of `seed`."""
-        self.course, self.config, self.seed, self.device = course, config, seed, device
+    def __init__(
+        self,
+        simulations: Simulations,
+        evaluator: Evaluator,
+        config: LearnConfig,
+        seed: int,
+        residual: float,
+        device: str = "cpu",
+    ) -> None:
+        """Build the networks and the random streams of `seed`.
+
+        Args:
+            simulations: `config.envs` of them, to learn in. evaluator: chooses what is kept.
+            residual: the correction of the law in force; 0 for actions of the policy's own.
+        """
+        self.config, self.seed, self.device = config, seed, device
+        self.evaluator = evaluator
         torch.manual_seed(torch_seed(seed, "torch"))
-        rules = Rules(config.observation, config.reward, config.gamma)
-        sims = Simulations(
-            [course],
-            config.envs,
-            rules=rules,
-            start="spread",
-            rng=np.random.default_rng(stream(seed, "start")),
-            threads=config.threads,
-        )
-        self.env = BatchedFlightEnv(sims, device=device)
+        self.env = BatchedFlightEnv(simulations, device=device)
         size = self.env.observation_spec["observation"].shape[-1]
-        self.evaluator = Evaluator(course, config, seed)
-        residual = self._residual()
         self.learner = LEARNERS[config.learner](
             size,
             width=config.width,
@@ -86,14 +90,12 @@ class Trainer:
         self._losses: list[torch.Tensor] = []
         self._now = self.env.reset()
 
-    def _residual(self) -> float:
-        """The correction in force: larger where the guidance law leaves much to be gained."""
-        if self.config.observation != "guided" or self.config.residual == 0.0:
-            return 0.0
-        episodes = self.evaluator.sims.episodes
-        law = self.evaluator(lambda _: episodes.guidance_action())
-        hard = not law.mean_cost <= self.evaluator.least + self.config.hard_gap
-        return self.config.hard_residual if hard or law.success_rate < 1.0 else self.config.residual
+    def move(self, simulations: Simulations) -> None:
+        """Go on learning in other simulations, at the start of their episodes."""
+        self.env.close()
+        self.env = BatchedFlightEnv(simulations, device=self.device)
+        self._returns.zero_()
+        self._now = self.env.reset()
 
     def run(self) -> Iterator[int]:
         """Train to the end of the budget, yielding the number of updates after each round."""
@@ -216,6 +218,9 @@ class Trainer:
             "episode_state": {
                 name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED
             },
+            "disturbances": None
+            if episodes.disturbances is None
+            else episodes.disturbances.state_dict(),
             "now": self._now.to_dict(),
             "returns": self._returns.clone(),
             "recent": list(self._recent),
@@ -239,6 +244,8 @@ class Trainer:
         sims.episodes.load(
             {name: value.numpy().copy() for name, value in state["episode_state"].items()}
         )
+        if sims.episodes.disturbances is not None:
+            sims.episodes.disturbances.load_state_dict(state["disturbances"])
         self._now = TensorDict(state["now"], batch_size=self.env.batch_size, device=self.device)
         self._returns = state["returns"].clone()
         self._recent.clear()
@@ -253,3 +260,37 @@ class Trainer:
         """Stop all simulation threads."""
         self.env.close()
         self.evaluator.close()
+
+
+def segment_trainer(course: Course, config: LearnConfig, seed: int, device: str = "cpu") -> Trainer:
+    """A trainer for a course of one leg."""
+    simulations = make_simulations([course], config, seed)
+    evaluator = Evaluator([course], config, seed)
+    return Trainer(simulations, evaluator, config, seed, _residual(evaluator, config), device)
+
+
+def make_simulations(
+    courses: Sequence[Course],
+    config: LearnConfig,
+    seed: int,
+    disturbances: Disturbances | None = None,
+) -> Simulations:
+    """What a trainer learns in: `config.envs` simulations on one course, or one course each."""
+    return Simulations(
+        courses,
+        config.envs,
+        rules=Rules(config.observation, config.reward, config.gamma),
+        start="spread",
+        rng=np.random.default_rng(stream(seed, "start")),
+        threads=config.threads,
+        disturbances=disturbances,
+    )
+
+
+def _residual(evaluator: Evaluator, config: LearnConfig) -> float:
+    """The correction in force: larger where the guidance law leaves much to be gained."""
+    if config.observation != "guided" or config.residual == 0.0:
+        return 0.0
+    law = evaluator(lambda _: evaluator.sims.episodes.guidance_action())
+    hard = not law.mean_cost <= evaluator.least + config.hard_gap
+    return config.hard_residual if hard or law.success_rate < 1.0 else config.residual

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import safetensors.torch
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
@@ -45,19 +46,31 @@ class TrainedPolicy:
         return PlainActor(self.actor)
 
     def save(self, path: Path) -> None:
-        """Write policy.pt: plain tensors and names, loaded without unpickling objects."""
+        """Write policy.pt, or policy.safetensors: tensors and names, loaded without unpickling."""
+        weights = {
+            name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
+        }
+        if path.suffix == ".safetensors":
+            path.write_bytes(safetensors.torch.save(weights, {"observation": self.observation}))
+            return
         # Through memory: on a full disk torch.save itself raises no OSError.
         buffer = io.BytesIO()
-        torch.save({"actor": self.actor.state_dict(), "observation": self.observation}, buffer)
+        torch.save({"actor": weights, "observation": self.observation}, buffer)
         path.write_bytes(buffer.getvalue())
 
     @classmethod
     def load(cls, path: Path) -> TrainedPolicy:
-        """Read policy.pt."""
-        saved = torch.load(path, weights_only=True, map_location="cpu")
-        first = next(value for name, value in saved["actor"].items() if name.endswith("0.weight"))
-        scale = [value for name, value in saved["actor"].items() if name.endswith("scale")]
+        """Read what `save` wrote."""
+        if path.suffix == ".safetensors":
+            with safetensors.safe_open(path, "pt") as file:
+                weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                observation = file.metadata()["observation"]
+        else:
+            saved = torch.load(path, weights_only=True, map_location="cpu")
+            weights, observation = saved["actor"], saved["observation"]
+        first = next(value for name, value in weights.items() if name.endswith("0.weight"))
+        scale = [value for name, value in weights.items() if name.endswith("scale")]
         residual = float(scale[0]) if scale else 0.0
         actor = make_actor(first.shape[1], first.shape[0], residual)
-        actor.load_state_dict(saved["actor"])
-        return cls(actor, saved["observation"])
+        actor.load_state_dict(weights)
+        return cls(actor, observation)

@@ -47,7 +47,7 @@ RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
     "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
     "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "guidance",
-    "report.md",
+    "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
 SPACE = 1_000_000  # bytes; with less a run is not begun
@@ -129,8 +129,8 @@ class RunFolder:
         if saved.is_file() and Scene.load(saved) != scene:
             raise RunError(f"--resume: {saved} differs from {name}; give the run's own scene")
 
-    def create(self, config: dict[str, Any], scene: Scene, *, overwrite: bool) -> None:
-        """Make the folder with config.json, command.txt and scene.json.
+    def create(self, config: dict[str, Any], scene: Scene | None, *, overwrite: bool) -> None:
+        """Make the folder with config.json, command.txt and, if there is one, scene.json.
 
         Raises:
             RunError: the folder cannot be made.
@@ -147,7 +147,8 @@ class RunFolder:
                     shutil.rmtree(target)
                 else:
                     target.unlink(missing_ok=True)
-        self.write("scene.json", scene.save)
+        if scene is not None:
+            self.write("scene.json", scene.save)
         self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
         self.write_json("config.json", config)
 

@@ -26,7 +26,7 @@ from mjcollect.scene import Scene
 from mjcollect.tour import legs, plan_order
 from mjcollect.verify import verify
 from train.flight_recorder import fly
-from train.learn import Trainer
+from train.learn import Trainer, segment_trainer
 from train.learn_config import LearnConfig
 from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
@@ -128,24 +128,24 @@ def train_segment(args: Args) -> int:
 
 
 def _run(course: Course, order: tuple[int, ...], index: int, folder: RunFolder, args: Args) -> int:
-    trainer = Trainer(course, args.learn, args.seed, args.device)
+    trainer = segment_trainer(course, args.learn, args.seed, args.device)
     try:
-        if not _learn(trainer, folder, args):
+        if not _learn(trainer, course, folder, args):
             say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
             return INTERRUPTED
-        _finish(trainer, folder, course.scene, order, index, args.plots)
+        _finish(trainer, course, folder, order, index, args.plots)
     finally:
         trainer.close()
     return _report(folder, args.video)
 
 
-def _learn(trainer: Trainer, folder: RunFolder, args: Args) -> bool:
+def _learn(trainer: Trainer, course: Course, folder: RunFolder, args: Args) -> bool:
     """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
     parts: dict[str, Any] = {"trainer": trainer, "buffer": trainer.buffer}
     if args.resume and folder.load_checkpoint(**parts):
         say(f"resuming after {trainer.learner.updates} updates")
         folder.write_metrics(trainer.rows)  # cut back to the checkpoint
-    goal = segment_bound(trainer.course.scene, *trainer.course.nodes)
+    goal = segment_bound(course.scene, *course.nodes)
     saved, shown = trainer.learner.updates, len(trainer.rows)
     begun, before = time.monotonic(), trainer.seconds
     with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
@@ -176,27 +176,27 @@ def _progress(row: dict[str, float], bound: float) -> str:
 
 
 def _finish(
-    trainer: Trainer, folder: RunFolder, scene: Scene, order: tuple[int, ...], index: int,
+    trainer: Trainer, course: Course, folder: RunFolder, order: tuple[int, ...], index: int,
     plots: bool,
 ) -> None:  # fmt: skip
     """Fly the best policy, judge it, and write every file but the video; segment.json last."""
-    frm, to = legs(order)[index]
+    scene, (frm, to) = course.scene, legs(order)[index]
     if trainer.best_policy is not None:
         trainer.learner.actor.load_state_dict(trainer.best_policy)
     policy = trainer.policy
-    flight = fly(trainer.course, [policy], policy.observation)
+    flight = fly(course, [policy], policy.observation)
     violations = verify(scene, flight.trajectory, order, segment=index)
     success = flight.success and not violations
     seconds = flight.trajectory.duration if success else None
     bound = segment_bound(scene, frm, to)
-    detour = detour_bound(scene, frm, to, trainer.course.guidance[0].length)
+    detour = detour_bound(scene, frm, to, course.guidance[0].length)
     folder.write_metrics(trainer.rows)
     folder.write("policy.pt", policy.save)
     folder.write("trajectory.csv", flight.trajectory.save)
     if plots:
         from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
 
-        ways = (scene, flight.trajectory, order, index, trainer.course.guidance[0].path)
+        ways = (scene, flight.trajectory, order, index, course.guidance[0].path)
         folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
         folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
         metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}

@@ -1,0 +1,291 @@
+"""Learn one policy for scenes it has never seen: many segments at once, half of them disturbed.
+
+python -m train.generalist --out DIR
+
+The same DDPG as a segment's. Every simulation has obstacles of its own; every `--rotate` updates
+other segments of the pool are flown. Evaluated on segments that are never trained on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+import tyro
+
+from mjcollect.batch import Simulations
+from mjcollect.disturbance import Disturbance, Disturbances
+from train.evaluation import Evaluator, stream
+from train.learn import Trainer, make_simulations
+from train.learn_config import LearnConfig
+from train.pool import build_all, draw_leg
+from train.runs import (
+    INTERRUPTED,
+    RunError,
+    RunFolder,
+    default_folder,
+    progress_bar,
+    run_program,
+    say,
+    stop_on_ctrl_c,
+    versions,
+)
+
+HELD_OUT = 1_000_000  # number of the first segment that is never trained on
+LEARN = LearnConfig(
+    updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, batch=512,
+    buffer=500_000, alpha_actor=3e-4, alpha_critic=3e-4, actor_delay=2_000, demonstrations=20_000,
+    guided_until=0.2, eval_every=5_000, eval_episodes=2,
+)  # fmt: skip
+DISTURBANCE = Disturbance(wind=3.0, gusts=1.5, gain=0.15, delay=0.06, noise=0.3)
+
+
+@dataclass(frozen=True)
+class Args:
+    """Learn one policy for scenes it has never seen."""
+
+    out: Path | None = None
+    """Run folder; default: runs/generalist/seed<N>."""
+    seed: int = 0
+    """Seed of every random stream, the scenes included."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks live; simulation stays on the CPU."""
+    workers: int = 2
+    """Processes that build the segments' guidance."""
+    segments: int = 400
+    """Segments trained on, each of a generated scene of its own."""
+    held_out: int = 60
+    """Segments of further scenes that policies are compared on."""
+    courses: int = 64
+    """Segments flown side by side, each in several simulations."""
+    rotate: int = 2_000
+    """Updates after which other segments are flown."""
+    disturbed: float = 0.5
+    """Share of the simulations that are disturbed, up to `disturbance`."""
+    disturbance: Annotated[Disturbance, tyro.conf.arg(name="")] = DISTURBANCE
+    """Greatest disturbances."""
+    resume: bool = False
+    """Go on with the run in the folder."""
+    overwrite: bool = False
+    """Start anew in a folder that is not empty."""
+    checkpoint_every: int = 10_000
+    """Updates between checkpoints."""
+    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = LEARN
+    """Settings of the learner."""
+
+
+class Generalist:
+    """A trainer whose simulations change their segments. Its state is in `state_dict()`."""
+
+    def __init__(self, args: Args, numbers: tuple[list[int], list[int]], pool: Path) -> None:
+        """Prepare.
+
+        Args:
+            numbers: of the pool's segments to train on, and of those held out. pool: folder of
+                their guidance.
+        """
+        self.args, self._pool = args, pool
+        self._numbers, held_out = numbers
+        config, seed = args.learn, args.seed
+        courses = [draw_leg(seed, number).course(pool) for number in held_out]
+        # Calm from the point itself, disturbed from elsewhere in the ball.
+        calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
+        rng = np.random.default_rng(stream(seed, "evaluate disturbances"))
+        disturbances = Disturbances(args.disturbance, len(calm), rng, vary=True, calm=calm)
+        evaluator = Evaluator(courses, config, seed, disturbances)
+        self.rotation = 0
+        self.trainer = Trainer(
+            self._simulations(), evaluator, config, seed, config.residual, args.device
+        )
+
+    def _simulations(self) -> Simulations:
+        """Simulations on this rotation's segments."""
+        args, config = self.args, self.args.learn
+        rng = np.random.default_rng(stream(args.seed, f"rotation {self.rotation}"))
+        numbers = rng.choice(self._numbers, min(args.courses, len(self._numbers)), replace=False)
+        legs = [draw_leg(args.seed, int(number)).course(self._pool) for number in numbers]
+        calm = rng.permutation(config.envs) >= round(args.disturbed * config.envs)
+        disturbances = Disturbances(args.disturbance, config.envs, rng, vary=True, calm=calm)
+        courses = [legs[i % len(legs)] for i in range(config.envs)]
+        return make_simulations(courses, config, int(rng.integers(2**62)), disturbances)
+
+    def rotate(self) -> bool:
+        """Change the segments if it is time; whether they were."""
+        due = self.trainer.learner.updates // self.args.rotate
+        if due == self.rotation:
+            return False
+        self.rotation = due
+        self.trainer.move(self._simulations())
+        return True
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but the buffer's content and the settings."""
+        return {"rotation": self.rotation, "trainer": self.trainer.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go back to a state of `state_dict`."""
+        if state["rotation"] != self.rotation:
+            self.rotation = state["rotation"]
+            self.trainer.move(self._simulations())
+        self.trainer.load_state_dict(state["trainer"])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the program; the exit code of the contract."""
+    return run_program("train.generalist", Args, train_generalist, argv)
+
+
+def train_generalist(args: Args) -> int:
+    """Build the pool, learn, save. Raises only before anything is written."""
+    _check(args)
+    config = {"program": "train.generalist", **dataclasses.asdict(args)}
+    for field in ("out", "resume", "overwrite", "workers", "checkpoint_every"):
+        del config[field]
+    folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
+    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    if args.resume and folder.read_json("generalist.json") is not None:
+        return _report(folder)
+    folder.create(config, None, overwrite=args.overwrite)
+    try:
+        numbers = _build(folder, args)
+        if numbers is None:
+            say("stopped; go on with --resume")
+            return INTERRUPTED
+        generalist = Generalist(args, numbers, folder.path / "pool")
+        try:
+            if not _learn(generalist, folder, args):
+                updates = generalist.trainer.learner.updates
+                say(f"stopped after {updates} updates, saved; go on with --resume")
+                return INTERRUPTED
+            _finish(generalist.trainer, folder, numbers)
+        finally:
+            generalist.trainer.close()
+    finally:
+        folder.unlock()
+    return _report(folder)
+
+
+def _check(args: Args) -> None:
+    """Refuse what would fail late.
+
+    Raises:
+        RunError: naming field, value and fix.
+    """
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
+    if args.seed < 0:
+        raise RunError(f"--seed: {args.seed}: must not be negative")
+    if not 0.0 <= args.disturbed <= 1.0:
+        raise RunError(f"--disturbed: {args.disturbed}: must lie between 0 and 1")
+    for field in ("workers", "segments", "held_out", "courses", "rotate", "checkpoint_every"):
+        if getattr(args, field) < 1:
+            name = field.replace("_", "-")
+            raise RunError(f"--{name}: {getattr(args, field)}: must be at least 1")
+    if args.learn.observation != "guided":
+        raise RunError(
+            f"--observation: {args.learn.observation}: its size depends on the scene; use guided"
+        )
+
+
+def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
+    """Numbers of the segments to train on and of those held out; None if Ctrl-C stopped it."""
+    built: dict[str, bool] = folder.read_json("pool.json") or {}
+    wanted = [*range(args.segments), *range(HELD_OUT, HELD_OUT + args.held_out)]
+    missing = [number for number in wanted if str(number) not in built]
+    with stop_on_ctrl_c() as stopped, progress_bar(len(wanted), "segment") as bar:
+        bar.update(len(wanted) - len(missing))
+        for number, ok in build_all(args.seed, missing, folder.path / "pool", args.workers):
+            built[str(number)] = ok
+            bar.update()
+            if stopped():
+                break
+    folder.write_json("pool.json", built)
+    if any(str(number) not in built for number in wanted):
+        return None
+    found = [number for number in wanted if built[str(number)]]
+    train, held_out = ([n for n in found if (n >= HELD_OUT) == out] for out in (False, True))
+    return train, held_out
+
+
+def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
+    """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
+    trainer = generalist.trainer
+    parts: dict[str, Any] = {"generalist": generalist, "buffer": trainer.buffer}
+    if args.resume and folder.load_checkpoint(**parts):
+        say(f"resuming after {trainer.learner.updates} updates")
+        folder.write_metrics(trainer.rows)
+    saved, shown = trainer.learner.updates, len(trainer.rows)
+    begun, before = time.monotonic(), trainer.seconds
+    with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
+        bar.update(trainer.learner.updates)
+        for updates in trainer.run():
+            bar.update(updates - bar.n)
+            trainer.seconds = before + time.monotonic() - begun
+            generalist.rotate()
+            if len(trainer.rows) > shown:
+                folder.write_metrics(trainer.rows)
+                shown = len(trainer.rows)
+                row = trainer.rows[-1]
+                bar.set_postfix_str(
+                    f"held out: success {row['eval_success_rate']:.1%}, "
+                    f"calm {row['eval_time']:.2f} s, all {row['eval_mean_time']:.2f} s"
+                )
+            if updates - saved >= args.checkpoint_every or stopped() or trainer.finished:
+                folder.save_checkpoint(**parts)
+                saved = updates
+            if stopped() and not trainer.finished:
+                return False
+    return True
+
+
+def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[int]]) -> None:
+    """Save the best policy, the curves, and generalist.json last."""
+    from mjcollect.plots import plot_learning
+
+    assert trainer.best is not None
+    assert trainer.best_policy is not None
+    trainer.learner.actor.load_state_dict(trainer.best_policy)
+    folder.write("policy.safetensors", trainer.policy.save)
+    columns = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
+    folder.write("learning.png", lambda part: plot_learning(part, columns))
+    folder.write_json(
+        "generalist.json",
+        {
+            "held_out": dataclasses.asdict(trainer.best),
+            "law": {"success_rate": trainer.rows[0]["eval_success_rate"],
+                    "point_time": trainer.rows[0]["eval_time"],
+                    "mean_time": trainer.rows[0]["eval_mean_time"]},
+            "best_update": trainer.best_update,
+            "updates": trainer.learner.updates,
+            "env_steps": trainer.env_steps,
+            "train_seconds": trainer.seconds,
+            "segments": len(numbers[0]),
+            "held_out_segments": len(numbers[1]),
+            "seed": trainer.seed,
+            "versions": versions(),
+        },
+    )  # fmt: skip
+
+
+def _report(folder: RunFolder) -> int:
+    """Print the result; 0."""
+    result = folder.read_json("generalist.json")
+    assert result is not None
+    best, law = result["held_out"], result["law"]
+    print(
+        f"held out: arrives from {best['success_rate']:.1%} of the starts (law "
+        f"{law['success_rate']:.1%}), calm {best['point_rate']:.1%} in {best['point_time']:.2f} s "
+        f"(law {law['point_time']:.2f} s): {folder.path}"
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
