@@ -154,3 +154,29 @@ def test_goes_on_from_a_saved_state(course):
 def test_bad_levels_are_refused(field, value):
     with pytest.raises(ValueError, match=f"{field}: {value}"):
         Disturbance(**{field: value})
+
+
+def test_the_law_brings_back_what_was_blown_over_a_bound(course):
+    """At rest or on its way out; MARGIN lets the flight go on."""
+    count = 3
+    sims = flights(course, Disturbance(), count)
+    q = np.array([[-2.0, 50, 50], [-1, 50, -1], [201, 100, 201.5]])
+    v = np.array([[0.0, 0, 0], [-2, 1, -1], [1, 0, 3]])
+    sims.place(np.arange(count), q, v)
+    arrived = np.zeros(count, dtype=bool)
+    for _ in range(60):
+        arrived |= sims.step(sims.episodes.guidance_action()).slot.arrived
+        assert not sims.episodes.crashed.any()
+    assert arrived.all()
+
+
+@pytest.mark.parametrize("wind", [0.5, 1.0])
+def test_the_law_flies_a_tour_from_a_corner_of_the_bounds_in_wind(wind):
+    room = Scene("room", 0, [[0, 0, 0], [200, 200, 200]], [0, 0, 0], [[150, 100, 100]], [])
+    home = Course.mission(room, (0,))
+    sims = flights(home, Disturbance(wind=wind), 16)
+    done = np.zeros(16, dtype=bool)
+    for _ in range(home.step_limit):
+        done |= sims.step(sims.episodes.guidance_action()).success
+        assert not sims.episodes.crashed[~done].any()
+    assert done.all()

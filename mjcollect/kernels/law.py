@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 ONE_TURN = 30.0  # metres within which corners count as one turn
 CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
 WALL_SHARE = 0.9  # of the room to a bound that a stop may take
+RETURN_SECONDS = 1.0  # in which a body that was blown over a bound comes back
 FREE_ROOM = 0.1  # metres beyond the body's radius that the law keeps from boxes where it can
 BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
 SLOWER = (1.0, 0.8, 0.5, 0.2, 0.0)  # shares of the wanted speed that are tried in turn
@@ -97,13 +98,15 @@ def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
 
 @compiled
 def within_bounds(world: World, w: int, q: Array, wanted: Array) -> None:
-    """Take from a wanted velocity what cannot be stopped within the bounds."""
+    """Take from a wanted velocity what cannot be stopped within the bounds; outside, come back."""
     bounds = world.bounds[w]
     # Braking against the velocity, wanted[k] lasts for this long and covers half of it.
     seconds = max(norm(wanted) / world.a_max[w, 0], 2 * world.slot)
     for k in range(3):
         slowest = -2 * WALL_SHARE / seconds * max(q[k] - bounds[0, k], 0.0)
         fastest = 2 * WALL_SHARE / seconds * max(bounds[1, k] - q[k], 0.0)
+        slowest += max(bounds[0, k] - q[k], 0.0) / RETURN_SECONDS
+        fastest -= max(q[k] - bounds[1, k], 0.0) / RETURN_SECONDS
         wanted[k] = min(max(wanted[k], slowest), fastest)
 
 
@@ -151,7 +154,12 @@ def can_stop(world: World, w: int, q: Array, v: Array, a: Array) -> bool:
         tangent = q[k] + slot * (v[k] + a[k] * world.step / 2) / 2
         low[k], high[k] = min(q[k], tangent, end[k]), max(q[k], tangent, end[k])
         rest = end[k] + braking[k]
-        if min(low[k], rest) < bounds[0, k] or max(high[k], rest) > bounds[1, k]:
+        least, most = bounds[0, k], bounds[1, k]
+        if q[k] < least:  # blown over a bound: no farther than within a slot
+            least = q[k] + min(v[k], 0.0) * slot
+        if q[k] > most:
+            most = q[k] + max(v[k], 0.0) * slot
+        if min(low[k], rest) < least or max(high[k], rest) > most:
             return False
     for b in range(len(boxes)):
         room, near = radius + FREE_ROOM, True
