@@ -21,7 +21,16 @@ from mjcollect.observation import OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
 LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
-SAVED = ("truth", "observed", "v", "target", "collected", "steps", "crashed")  # an episode's state
+SAVED = (
+    "truth",
+    "observed",
+    "v",
+    "drift",
+    "target",
+    "collected",
+    "steps",
+    "crashed",
+)  # an episode's state
 GAMMA = 0.99  # discount per slot, also that of the learner
 
 
@@ -71,6 +80,7 @@ class Episodes:
     Attributes:
         truth, observed, v: (N, 3) positions, the same as far as they are known if disturbed, and
             velocities. target: (N,) index of each one's current target.
+        drift: (N, 3) m/s^2, by which the last slot's acceleration differed from its command.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
     """
 
@@ -114,7 +124,9 @@ class Episodes:
             scene = distinct[w].scene
             self._items[index, : len(scene.items)] = scene.items
             self._depot[index] = scene.depot
-        self.truth, self.observed, self.v = (np.zeros((count, 3)) for _ in range(3))
+        self.truth, self.observed, self.v, self.drift, self._command = (
+            np.zeros((count, 3)) for _ in range(5)
+        )
         self.target = self._first.copy()
         self._before = np.zeros((count, most), dtype=bool)
         for index, w in enumerate(which):
@@ -137,7 +149,7 @@ class Episodes:
 
     def reset(self, which: NDArray[np.intp], q: Array, v: Array) -> None:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
-        self.truth[which], self.v[which] = q, v
+        self.truth[which], self.v[which], self.drift[which] = q, v, 0.0
         if self.disturbances is not None:
             self.disturbances.begin(which)
             self.observed[which] = self.disturbances.seen(q, which)
@@ -156,8 +168,8 @@ class Episodes:
     def begin_slot(self, action: Array) -> Array:
         """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
         goal, tolerance = self._goal[self.target], self._tolerance[self.target]
-        acceleration, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
-        return acceleration
+        self._command, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
+        return self._command
 
     def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
         """Judge the slot just flown and move on to the next target where one was reached.
@@ -169,6 +181,7 @@ class Episodes:
         margin = BOUNDS_TOLERANCE if self.disturbances is None else MARGIN
         slot = judge(self.world, self.truth, path, sensed, self._stop, margin)
         before = self._approach
+        self.drift = (v - self.v) / self.world.slot - self._command
         self.truth, self.v = path[:, -1].copy(), v.copy()
         if self._preset.crash_ends:
             ended = slot.crashed
@@ -205,7 +218,9 @@ class Episodes:
 
     def observe(self, which: NDArray[np.intp] | None = None) -> Parts:
         """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""
-        state = State(self.q, self.v, self._approach, self._items, self.collected, self._depot)
+        state = State(
+            self.q, self.v, self._approach, self._items, self.collected, self._depot, self.drift
+        )
         if which is None:
             return self._observation(self.world, state)
         return self._observation(self.world.rows(which), state.rows(which))

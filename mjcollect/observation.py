@@ -1,7 +1,8 @@
-"""The two named observations, vectorised over N simulations.
+"""The named observations, vectorised over N simulations.
 
-`guided`, the default, works for any number of obstacles and items. `paper` is the state
-S = {q, v, l, m, p} of the paper's section IV-B. Both return named parts, each (N, d), in order.
+`guided`, the default, works for any number of obstacles and items. `robust` adds what last kept the
+flight from its command, and takes that off the law's action. `paper` is the state
+S = {q, v, l, m, p} of the paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class State:
     Attributes:
         q, v: (N, 3). approach: the way to the current target.
         items: (N, K, 3), as padded. collected: (N, K).
-        depot: (N, 3).
+        depot: (N, 3). drift: (N, 3) m/s^2, by which the last slot differed from its command.
     """
 
     q: Array
@@ -37,6 +38,7 @@ class State:
     items: Array
     collected: Bools
     depot: Array
+    drift: Array
 
     def rows(self, which: NDArray[np.intp]) -> State:
         """The state of the simulations `which` (n,) only."""
@@ -50,6 +52,7 @@ class State:
             self.items[which],
             self.collected[which],
             self.depot[which],
+            self.drift[which],
         )
 
 
@@ -109,4 +112,12 @@ def paper(world: World, state: State) -> Parts:
     }
 
 
-OBSERVATIONS = {"guided": guided, "paper": paper}
+def robust(world: World, state: State) -> Parts:
+    """`guided`, the drift in units of a_max, and the law's action against that drift."""
+    parts, drift = guided(world, state), state.drift / world.a_max
+    law = parts.pop("guide_action")
+    return {**parts, "drift": drift, "guide_action": law - drift}
+
+
+OBSERVATIONS = {"guided": guided, "paper": paper, "robust": robust}
+WITH_LAW = ("guided", "robust")  # end with an action that the policy can correct

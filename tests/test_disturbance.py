@@ -6,6 +6,7 @@ import pytest
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import GUST_SECONDS, MARGIN, REST_SPEED, Disturbance, Disturbances
+from mjcollect.episode import Rules
 from mjcollect.scene import Scene
 
 SLOT, STEP, N = 0.2, 0.02, 10
@@ -180,3 +181,24 @@ def test_the_law_flies_a_tour_from_a_corner_of_the_bounds_in_wind(wind):
         done |= sims.step(sims.episodes.guidance_action()).success
         assert not sims.episodes.crashed[~done].any()
     assert done.all()
+
+
+def test_the_robust_observation_shows_what_kept_a_slot_from_its_command(course):
+    def flown(level):
+        disturbances = Disturbances(level, 4, np.random.default_rng(3))
+        rules = Rules("robust")
+        sims = Simulations([course], 4, rules=rules, threads=1, disturbances=disturbances)
+        place(sims, course, 4)
+        before = sims.episodes.observe()
+        np.testing.assert_array_equal(before["drift"], 0.0)
+        for _ in range(3):
+            sims.step(sims.episodes.guidance_action())
+        return sims, sims.episodes.observe()
+
+    sims, seen = flown(Disturbance(wind=2.0))
+    wind = seen["drift"] * course.scene.a_max
+    np.testing.assert_allclose(np.linalg.norm(wind, axis=1), 2.0)
+    law = sims.episodes.guidance_action()
+    np.testing.assert_allclose(seen["guide_action"], law - wind / course.scene.a_max)
+    sims, seen = flown(Disturbance())
+    assert np.abs(seen["drift"]).max() < 1e-12

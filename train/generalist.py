@@ -22,6 +22,7 @@ import tyro
 
 from mjcollect.batch import Simulations
 from mjcollect.disturbance import Disturbance, Disturbances
+from mjcollect.observation import WITH_LAW
 from train.evaluation import Evaluator, stream
 from train.learn import Trainer, make_simulations
 from train.learn_config import LearnConfig
@@ -42,7 +43,7 @@ HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 LEARN = LearnConfig(
     updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, batch=512,
     buffer=500_000, alpha_actor=3e-4, alpha_critic=3e-4, actor_delay=2_000, demonstrations=20_000,
-    guided_until=0.2, eval_every=5_000, eval_episodes=2,
+    guided_until=0.2, eval_every=5_000, eval_episodes=2, observation="robust",
 )  # fmt: skip
 DISTURBANCE = Disturbance(wind=3.0, gusts=1.5, gain=0.15, delay=0.06, noise=0.3)
 
@@ -188,9 +189,10 @@ def _check(args: Args) -> None:
         if getattr(args, field) < 1:
             name = field.replace("_", "-")
             raise RunError(f"--{name}: {getattr(args, field)}: must be at least 1")
-    if args.learn.observation != "guided":
+    if args.learn.observation not in WITH_LAW:
         raise RunError(
-            f"--observation: {args.learn.observation}: its size depends on the scene; use guided"
+            f"--observation: {args.learn.observation}: its size depends on the scene; use "
+            f"{' or '.join(WITH_LAW)}"
         )
 
 

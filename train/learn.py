@@ -16,6 +16,7 @@ from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import Disturbances
 from mjcollect.episode import SAVED, Rules
+from mjcollect.observation import WITH_LAW
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
 from train.lean import LEARNERS
@@ -289,7 +290,7 @@ def make_simulations(
 
 def _residual(evaluator: Evaluator, config: LearnConfig) -> float:
     """The correction in force: larger where the guidance law leaves much to be gained."""
-    if config.observation != "guided" or config.residual == 0.0:
+    if config.observation not in WITH_LAW or config.residual == 0.0:
         return 0.0
     law = evaluator(lambda _: evaluator.sims.episodes.guidance_action())
     hard = not law.mean_cost <= evaluator.least + config.hard_gap

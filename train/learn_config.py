@@ -80,7 +80,8 @@ class LearnConfig:
     threads: int = 1
     """MuJoCo's threads; the results do not depend on them."""
     observation: str = "guided"
-    """Observation: guided or paper."""
+    """Observation: guided, robust (guided, and what last kept the flight from its command), or
+    paper."""
     reward: str = "time"
     """Reward preset: time or paper."""
 
