@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 ONE_TURN = 30.0  # metres within which corners count as one turn
 CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
 WALL_SHARE = 0.9  # of the room to a bound that a stop may take
+OUTSIDE = 1e-6  # metres beyond a bound to which undisturbed flights keep
 RETURN_SECONDS = 1.0  # in which a body that was blown over a bound comes back
 FREE_ROOM = 0.1  # metres beyond the body's radius that the law keeps from boxes where it can
 BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
@@ -105,8 +106,10 @@ def within_bounds(world: World, w: int, q: Array, wanted: Array) -> None:
     for k in range(3):
         slowest = -2 * WALL_SHARE / seconds * max(q[k] - bounds[0, k], 0.0)
         fastest = 2 * WALL_SHARE / seconds * max(bounds[1, k] - q[k], 0.0)
-        slowest += max(bounds[0, k] - q[k], 0.0) / RETURN_SECONDS
-        fastest -= max(q[k] - bounds[1, k], 0.0) / RETURN_SECONDS
+        if bounds[0, k] - q[k] > OUTSIDE:
+            slowest += (bounds[0, k] - q[k]) / RETURN_SECONDS
+        if q[k] - bounds[1, k] > OUTSIDE:
+            fastest -= (q[k] - bounds[1, k]) / RETURN_SECONDS
         wanted[k] = min(max(wanted[k], slowest), fastest)
 
 
@@ -155,9 +158,9 @@ def can_stop(world: World, w: int, q: Array, v: Array, a: Array) -> bool:
         low[k], high[k] = min(q[k], tangent, end[k]), max(q[k], tangent, end[k])
         rest = end[k] + braking[k]
         least, most = bounds[0, k], bounds[1, k]
-        if q[k] < least:  # blown over a bound: no farther than within a slot
+        if least - q[k] > OUTSIDE:  # blown over a bound: no farther than within a slot
             least = q[k] + min(v[k], 0.0) * slot
-        if q[k] > most:
+        if q[k] - most > OUTSIDE:
             most = q[k] + max(v[k], 0.0) * slot
         if min(low[k], rest) < least or max(high[k], rest) > most:
             return False
