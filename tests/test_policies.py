@@ -7,8 +7,10 @@ from tensordict import TensorDict
 from torch import nn
 
 from train.ddpg import make_actor
+from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
-from train.policies import TrainedPolicy
+from train.policies import TrainedPolicy, start_from
+from train.runs import RunError
 
 
 @pytest.fixture
@@ -49,13 +51,37 @@ def test_inputs_stay_as_they_are(actor):
     assert np.array_equal(policy(observation), first)
 
 
-def test_a_loaded_policy_decides_the_same(actor, tmp_path):
-    policy = TrainedPolicy(actor, "guided")
-    policy.save(tmp_path / "policy.pt")
+@pytest.mark.parametrize("name", ["policy.pt", "policy.safetensors"])
+@pytest.mark.parametrize("residual", [0.0, 0.3])
+def test_a_loaded_policy_decides_the_same(tmp_path, name, residual):
+    policy = TrainedPolicy(make_actor(45, 16, residual), "guided")
+    policy.save(tmp_path / name)
     observation = np.random.default_rng(0).normal(size=(1, 45)).astype(np.float32)
-    assert np.array_equal(
-        TrainedPolicy.load(tmp_path / "policy.pt")(observation), policy(observation)
-    )
+    loaded = TrainedPolicy.load(tmp_path / name)
+    assert np.array_equal(loaded(observation), policy(observation))
+    assert (loaded.observation, loaded.width) == ("guided", 16)
+    assert loaded.residual == pytest.approx(residual)
+
+
+def test_learning_goes_on_from_a_policy_of_the_same_shape(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    TrainedPolicy(make_actor(45, 16, 0.3), "robust").save(path)
+    policy, learn = start_from(path, LearnConfig(updates=5))
+    assert (learn.observation, learn.width, learn.updates) == ("robust", 16, 5)
+    assert learn.least_updates == 0
+    assert policy.observation == "robust"
+    for field, value in (("width", 32), ("observation", "paper")):
+        with pytest.raises(RunError, match=f"--{field}: {value}"):
+            start_from(path, LearnConfig(**{field: value}))
+
+
+@pytest.mark.parametrize("name", ["none.pt", "text.pt", "text.safetensors", "other.pt"])
+def test_a_file_that_is_no_policy_is_refused(tmp_path, name):
+    for text in ("text.pt", "text.safetensors"):
+        (tmp_path / text).write_text("no policy")
+    torch.save({"actor": {}}, tmp_path / "other.pt")
+    with pytest.raises(RunError, match=f"--weights: .*{name}: holds no policy"):
+        start_from(tmp_path / name, LearnConfig())
 
 
 def test_a_new_policy_sees_what_was_learned_since(actor):

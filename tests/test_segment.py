@@ -109,6 +109,22 @@ def test_never_slower_than_the_guidance_law_it_starts_from(finished):
     assert rows["best_time"][-1] <= rows["eval_time"][0]
 
 
+def test_starts_from_a_policy_and_stops_at_once_if_it_is_good_enough(
+    finished, scene_file, tmp_path
+):
+    weights = ["--weights", str(finished[0] / "policy.pt"), "--gap", "60"]
+    out = tmp_path / "out"
+    assert run(scene_file, out, *weights) == 0
+    result, before = (json.loads((f / "segment.json").read_text()) for f in (out, finished[0]))
+    assert (result["updates"], result["env_steps"]) == (0, 0)
+    assert result["time"] == before["time"]
+    one, two = (np.loadtxt(f / "trajectory.csv", delimiter=",", skiprows=1)
+                for f in (out, finished[0]))  # fmt: skip
+    np.testing.assert_array_equal(one, two)
+    assert run(scene_file, out, *weights, "--resume") == 0
+    assert run(scene_file, out, "--resume") == 2  # other weights: none
+
+
 def test_resume_of_a_finished_run_prints_its_result(finished, scene_file, capsys):
     out, code = finished
     before = {path: path.stat().st_mtime_ns for path in out.iterdir()}

@@ -7,6 +7,7 @@ discount gamma, alpha_target, U_1 environment operations, then U_2 updates.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -127,12 +128,19 @@ class BaseLearner:
         residual: float = 0.0,
         actor_delay: int = 0,
         device: str = "cpu",
+        weights: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
-        """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs."""
+        """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs.
+
+        Args:
+            weights: state of an actor of this size to start from.
+        """
         self.device = device
         self.kind = optimizer
         self.residual, self._delay = residual, actor_delay
         self.actor = make_actor(observation_size, width, residual).to(device)
+        if weights is not None:
+            self.actor.load_state_dict(weights)
         self.critic = make_critic(observation_size, width).to(device)
         self.averaged = copy.deepcopy(self.actor).requires_grad_(False)
         self.gamma, self.alpha_target, self.average_rate = gamma, alpha_target, average_rate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,12 +47,14 @@ class Trainer:
         seed: int,
         residual: float,
         device: str = "cpu",
+        weights: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
         """Build the networks and the random streams of `seed`.
 
         Args:
             simulations: `config.envs` of them, to learn in. evaluator: chooses what is kept.
             residual: the correction of the law in force; 0 for actions of the policy's own.
+            weights: state of an actor to start from.
         """
         self.config, self.seed, self.device = config, seed, device
         self.evaluator = evaluator
@@ -73,6 +75,7 @@ class Trainer:
             residual=residual,
             actor_delay=config.actor_delay,
             device=device,
+            weights=weights,
         )
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
         self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
@@ -101,10 +104,11 @@ class Trainer:
     def run(self) -> Iterator[int]:
         """Train to the end of the budget, yielding the number of updates after each round."""
         config = self.config
-        while len(self.buffer) < max(config.demonstrations, config.batch):
-            self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
         if not self.rows and self.learner.residual:
             self._evaluate()  # the law's own flight: what is learned must beat it
+            self.finished = self._spent  # what begins from a policy may be good enough
+        while not self.finished and len(self.buffer) < max(config.demonstrations, config.batch):
+            self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
         while not self.finished:
             for _ in range(config.u1):
                 early = self.learner.updates < config.guided_until * config.updates
@@ -263,11 +267,25 @@ class Trainer:
         self.evaluator.close()
 
 
-def segment_trainer(course: Course, config: LearnConfig, seed: int, device: str = "cpu") -> Trainer:
-    """A trainer for a course of one leg."""
+def segment_trainer(
+    course: Course,
+    config: LearnConfig,
+    seed: int,
+    device: str = "cpu",
+    policy: TrainedPolicy | None = None,
+) -> Trainer:
+    """A trainer for a course of one leg.
+
+    Args:
+        policy: to start from, of the observation and width of `config`.
+    """
     simulations = make_simulations([course], config, seed)
     evaluator = Evaluator([course], config, seed)
-    return Trainer(simulations, evaluator, config, seed, _residual(evaluator, config), device)
+    if policy is None:
+        residual, weights = _residual(evaluator, config), None
+    else:
+        residual, weights = policy.residual, policy.actor.state_dict()
+    return Trainer(simulations, evaluator, config, seed, residual, device, weights)
 
 
 def make_simulations(

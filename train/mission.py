@@ -22,7 +22,7 @@ from train.flight_recorder import fly
 from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import TrainedPolicy
+from train.policies import TrainedPolicy, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.processes import warm_up
 from train.runs import (
@@ -84,6 +84,8 @@ class Args:
     """Draw the plots, also each segment's."""
     checkpoint_every: int = 1000
     """Updates between the checkpoints of a segment."""
+    weights: Path | None = None
+    """Policy to start from, a policy.safetensors or policy.pt; default: learn from nothing."""
     preset: PresetName | None = None
     """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
     slot: float | None = None
@@ -102,6 +104,8 @@ def main(argv: list[str] | None = None) -> int:
 def train_mission(args: Args) -> int:
     """Order, learn, fly, judge, draw. Raises only before anything is written."""
     _check(args)
+    if args.weights is not None:
+        args = dataclasses.replace(args, learn=start_from(args.weights, args.learn)[1])
     scene = with_slot(Scene.find(args.scene), args.slot)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
@@ -119,6 +123,7 @@ def train_mission(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
+        "weights": None if args.weights is None else digest(args.weights),
         "retries": args.retries,
         "learn": dataclasses.asdict(args.learn),
     }
@@ -209,6 +214,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             *learn_arguments(args.learn),
             "--guidance", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
+            *(["--weights", str(args.weights.resolve())] if args.weights else []),
         ]  # fmt: skip
         return Job(index, tuple(arguments), segment.path)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
-from dataclasses import dataclass
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,7 +17,15 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
 from train.ddpg import make_actor
+from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
+from train.runs import RunError
+
+# What reading a file that is no policy ends in.
+UNREADABLE = (
+    OSError, RuntimeError, ValueError, LookupError, StopIteration, TypeError,
+    pickle.UnpicklingError, safetensors.SafetensorError,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,6 +56,16 @@ class TrainedPolicy:
         """The actor for single observations."""
         return PlainActor(self.actor)
 
+    @property
+    def residual(self) -> float:
+        """Greatest correction of the observation's law; 0 where the actions are its own."""
+        return _scale(self.actor.state_dict())
+
+    @property
+    def width(self) -> int:
+        """Width of the hidden layers."""
+        return len(next(self.actor.parameters()))
+
     def save(self, path: Path) -> None:
         """Write policy.pt, or policy.safetensors: tensors and names, loaded without unpickling."""
         weights = {
@@ -69,8 +90,42 @@ class TrainedPolicy:
             saved = torch.load(path, weights_only=True, map_location="cpu")
             weights, observation = saved["actor"], saved["observation"]
         first = next(value for name, value in weights.items() if name.endswith("0.weight"))
-        scale = [value for name, value in weights.items() if name.endswith("scale")]
-        residual = float(scale[0]) if scale else 0.0
-        actor = make_actor(first.shape[1], first.shape[0], residual)
+        actor = make_actor(first.shape[1], first.shape[0], _scale(weights))
         actor.load_state_dict(weights)
         return cls(actor, observation)
+
+
+def _scale(weights: Mapping[str, torch.Tensor]) -> float:
+    """Greatest correction of an actor's weights; 0 where there is no law."""
+    return next((float(value) for name, value in weights.items() if name.endswith("scale")), 0.0)
+
+
+def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
+    """The policy in a file, and the settings with which learning goes on from it.
+
+    Its observation and width are taken over, and no update is made where it is good enough.
+
+    Raises:
+        RunError: there is no such policy, or `learn` asks for another observation or width.
+    """
+    try:
+        policy = TrainedPolicy.load(path)
+    except UNREADABLE as error:
+        raise RunError(
+            f"--weights: {path}: holds no policy ({type(error).__name__}); name a "
+            "policy.safetensors of train.generalist or a segment's policy.pt"
+        ) from None
+    usual = LearnConfig()
+    for field, value in (("observation", policy.observation), ("width", policy.width)):
+        asked = getattr(learn, field)
+        if asked not in (value, getattr(usual, field)):
+            raise RunError(
+                f"--{field}: {asked}: the policy of --weights {path} has {value}; leave one out"
+            )
+    own = replace(learn, observation=policy.observation, width=policy.width, least_updates=0)
+    return policy, own
+
+
+def digest(path: Path) -> str:
+    """What tells one file of weights from another, wherever it lies."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -28,6 +28,7 @@ from mjcollect.verify import verify
 from train.flight_recorder import fly
 from train.learn import Trainer, segment_trainer
 from train.learn_config import LearnConfig
+from train.policies import TrainedPolicy, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
     INTERRUPTED,
@@ -70,6 +71,8 @@ class Args:
     """Updates between checkpoints."""
     guidance: Path | None = None
     """Folder in which a mission has saved its guidance, which else takes seconds to build."""
+    weights: Path | None = None
+    """Policy to start from, a policy.safetensors or policy.pt; default: learn from nothing."""
     preset: PresetName | None = None
     """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
     slot: float | None = None
@@ -93,6 +96,10 @@ def train_segment(args: Args) -> int:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.checkpoint_every < 1:
         raise RunError(f"--checkpoint-every: {args.checkpoint_every}: must be at least 1")
+    policy = None
+    if args.weights is not None:
+        policy, learn = start_from(args.weights, args.learn)
+        args = dataclasses.replace(args, learn=learn)
     scene = with_slot(Scene.find(args.scene), args.slot)
     order = plan_order(scene, args.order, seed=args.seed)
     index = first_blocked(scene, order) if args.segment is None else args.segment
@@ -108,6 +115,7 @@ def train_segment(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
+        "weights": None if args.weights is None else digest(args.weights),
         "learn": dataclasses.asdict(args.learn),
     }
     folder = RunFolder(
@@ -122,13 +130,16 @@ def train_segment(args: Args) -> int:
     course = Course.segment(scene, order, index, args.guidance)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
-        return _run(course, order, index, folder, args)
+        return _run(course, order, index, folder, args, policy)
     finally:
         folder.unlock()
 
 
-def _run(course: Course, order: tuple[int, ...], index: int, folder: RunFolder, args: Args) -> int:
-    trainer = segment_trainer(course, args.learn, args.seed, args.device)
+def _run(
+    course: Course, order: tuple[int, ...], index: int, folder: RunFolder, args: Args,
+    policy: TrainedPolicy | None,
+) -> int:  # fmt: skip
+    trainer = segment_trainer(course, args.learn, args.seed, args.device, policy)
     try:
         if not _learn(trainer, course, folder, args):
             say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
