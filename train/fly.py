@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,15 +20,18 @@ from mjcollect.planners.reference import NoFlight, Reference
 from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law, record
+from train.learn_config import LearnConfig
 from train.mission_report import mission_result, outcome, report, write_flight
-from train.policies import TrainedPolicy
+from train.policies import TrainedPolicy, digest, start_from
 from train.runs import (
+    INTERRUPTED,
     RunError,
     RunFolder,
     default_folder,
     run_program,
     say,
 )
+from train.unseen import Stopped, fly_unseen
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,12 @@ class Args:
     scene: str | None = None
     """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
     planner: Literal["policy", "mpc", "reference", "guidance"] = "policy"
-    """policy: the run's trained policies. mpc: model predictive control. reference: the whole
-    mission planned ahead in the fewest slots. guidance: the law with no learning."""
+    """policy: the run's trained policies, or --policy. mpc: model predictive control. reference:
+    the whole mission planned ahead in the fewest slots. guidance: the law with no learning."""
+    policy: Path | None = None
+    """Policy that flies a scene it has not seen: a policy.safetensors or policy.pt."""
+    finetune: int = 2_000
+    """Updates with which a segment is learned on in which that policy fails; 0 for none."""
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
@@ -70,10 +77,14 @@ def fly_mission(args: Args) -> int:
         )
     if args.seed is not None and args.seed < 0:
         raise RunError(f"--seed: {args.seed}: must not be negative")
-    if args.run is None and args.planner == "policy":
+    if args.finetune < 0:
+        raise RunError(f"--finetune: {args.finetune}: must not be negative")
+    if args.policy is not None and (args.run is not None or args.planner != "policy"):
+        raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
+    if args.run is None and args.planner == "policy" and args.policy is None:
         raise RunError(
-            "--planner: policy: needs --run DIR with trained policies; train some with python -m "
-            "train.mission, or give --planner mpc, reference or guidance"
+            "--planner: policy: needs --run DIR with trained policies or --policy FILE; train some "
+            "with python -m train.mission, or give --planner mpc, reference or guidance"
         )
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
@@ -93,12 +104,24 @@ def fly_mission(args: Args) -> int:
         "order": list(order),
         "planner": args.planner,
         "run": None if args.run is None else str(args.run),
+        "policy": None if args.policy is None else digest(args.policy),
         "seed": seed,
     }
     folder.check(config, resume=False, overwrite=args.overwrite)
     course = Course.mission(scene, order)
     notes: list[str] = []
-    if args.planner == "policy":
+    if args.policy is not None:
+        start_from(args.policy, LearnConfig())  # refused before anything is written
+        folder.create(config, scene, overwrite=args.overwrite)
+        try:
+            made = fly_unseen(course, order, args.policy, folder, args.finetune, seed)
+        except Stopped:
+            return INTERRUPTED
+        flight, trained, notes = made.flight, made.trained, made.notes
+        args = replace(args, planner=made.planner)
+        for note in notes:
+            say(note)
+    elif args.planner == "policy":
         policies = [_load(segment.path / "policy.pt") for segment in segments]
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly(course, policies, policies[0].observation)

@@ -1,0 +1,147 @@
+"""`python -m train.fly --policy`: unseen scenes, and what becomes of failures."""
+
+import json
+
+import pytest
+import torch
+
+from mjcollect.batch import Simulations
+from mjcollect.course import Course
+from mjcollect.episode import Rules
+from mjcollect.scene import Scene
+from mjcollect.trajectory import Trajectory
+from mjcollect.verify import verify
+from train import unseen
+from train.ddpg import make_actor
+from train.flight_recorder import fly_law
+from train.fly import main as fly
+from train.policies import TrainedPolicy
+from train.runs import RunFolder
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "pair.json"
+    Scene(
+        name="pair",
+        seed=0,
+        bounds=[[0, 0, 0], [150, 150, 30]],
+        depot=[75, 20, 15],
+        items=[[75, 120, 15], [120, 60, 15]],
+        obstacles=[[[85, 80, 0], [105, 100, 30]]],
+    ).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def weights(scene_file, tmp_path_factory):
+    """`law.safetensors`, whose corrections are zero; `wild.safetensors` always climbs."""
+    folder = tmp_path_factory.mktemp("weights")
+    scene = Scene.load(scene_file)
+    sims = Simulations([Course.segment(scene, (0, 1), 0)], 1, rules=Rules("robust"), threads=1)
+    for name, residual in (("law", 0.3), ("wild", 1.0)):
+        actor = make_actor(sims.observe().shape[1], 8, residual)
+        if name == "wild":
+            bias = [p for n, p in actor.named_parameters() if n.endswith("bias")][-1]
+            bias.data = torch.tensor([0.0, 0.0, 20.0])
+        TrainedPolicy(actor, "robust").save(folder / f"{name}.safetensors")
+    return folder
+
+
+def run(scene_file, out, policy, *more):
+    arguments = ["--scene", str(scene_file), "--policy", str(policy), "--out", str(out)]
+    code = fly([*arguments, "--order", "0,1", "--no-video", "--no-plots", *more])
+    return code, json.loads((out / "mission.json").read_text())
+
+
+def verified(scene_file, out):
+    return verify(Scene.load(scene_file), Trajectory.load(out / "trajectory.csv"), (0, 1)) == []
+
+
+def test_flies_a_scene_without_training(scene_file, weights, tmp_path):
+    code, result = run(scene_file, tmp_path / "out", weights / "law.safetensors")
+    assert code == 0
+    assert (result["planner"], result["train_seconds"]) == ("policy", None)
+    assert verified(scene_file, tmp_path / "out")
+    law = fly_law(Course.mission(Scene.load(scene_file), (0, 1)))
+    assert result["mission_time"] == law.trajectory.duration
+    assert not (tmp_path / "out" / "segments").exists()
+
+
+def test_what_fails_and_is_not_trained_is_flown_by_the_reference(scene_file, weights, tmp_path):
+    out = tmp_path / "out"
+    code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "0")
+    assert code == 0
+    assert result["planner"] == "reference"
+    assert verified(scene_file, out)
+    assert "flown by the reference planner" in (out / "report.md").read_text()
+
+
+def test_failing_segments_are_trained_one_after_another(scene_file, weights, tmp_path, monkeypatch):
+    """The trainings find the law's policy; that they begin from the given one is seen below."""
+    asked = []
+
+    def train(course, order, given, folder, finetune, seed, failing):
+        asked.append((failing, finetune, given.name))
+        own = folder.path / "segments" / str(failing)
+        own.mkdir(parents=True)
+        TrainedPolicy.load(weights / "law.safetensors").save(own / "policy.pt")
+        return {"success_rate": 1.0, "train_seconds": 1.0, "env_steps": 2, "updates": finetune}
+
+    monkeypatch.setattr(unseen, "_train", train)
+    out = tmp_path / "out"
+    code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "7")
+    assert code == 0
+    assert result["planner"] == "policy"
+    assert asked == [(k, 7, "wild.safetensors") for k in range(3)]
+    assert [entry["updates"] for entry in result["segments"]] == [7, 7, 7]
+    assert "trained there with 7 updates" in (out / "report.md").read_text()
+
+
+def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_path):
+    """Four updates from a policy that always climbs: for real."""
+    out = tmp_path / "out"
+    code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "4")
+    assert code == 0
+    assert result["planner"] == "reference"
+    own = json.loads((out / "segments/0/segment.json").read_text())
+    assert own["updates"] == 4
+    config = json.loads((out / "segments/0/config.json").read_text())
+    assert config["weights"] is not None
+    assert (config["learn"]["observation"], config["learn"]["width"]) == ("robust", 8)
+    assert all(entry["updates"] is None for entry in result["segments"])
+
+
+def test_the_first_failure_is_found(scene_file):
+    scene = Scene.load(scene_file)
+    course = Course.mission(scene, (0, 1))
+    whole = fly_law(course)
+    assert unseen.first_failure(course, (0, 1), whole) is None
+    for legs in (0, 1, 2):
+        cut = Course.mission(scene, (0, 1))
+        object.__setattr__(cut, "step_limit", round((whole.arrivals[legs] - 0.4) / scene.slot))
+        assert unseen.first_failure(cut, (0, 1), fly_law(cut)) == legs
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--scene", "scenario_1", "--policy", "README.md"], "README.md: holds no policy"),
+        (["--scene", "scenario_1", "--policy", "x", "--planner", "mpc"], "--policy: x"),
+        (["--scene", "scenario_1", "--planner", "mpc", "--finetune", "-1"], "--finetune: -1"),
+    ],
+)
+def test_bad_arguments_write_nothing(arguments, named, tmp_path, capsys):
+    assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
+    assert named in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_in_a_training_ends_with_130(scene_file, weights, tmp_path, monkeypatch):
+    def stop(*_):
+        raise unseen.Stopped
+
+    monkeypatch.setattr(unseen, "_train", stop)
+    arguments = ["--scene", str(scene_file), "--policy", str(weights / "wild.safetensors")]
+    assert fly([*arguments, "--out", str(tmp_path / "out"), "--no-video"]) == 130
+    assert RunFolder(tmp_path / "out").read_json("mission.json") is None
