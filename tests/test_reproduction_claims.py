@@ -2,12 +2,14 @@
 
 import json
 import re
+from pathlib import Path
 
 import pytest
 from reproduction_cells import TIME_ORDERS, synthetic
 
 from train.reproduction.claims import claims
 from train.reproduction.page import page
+from train.reproduction.plan import Sizes, make_plan
 from train.reproduction.tables import tables
 from train.reproduction.wording import FAILS, HOLDS, PARTLY, UNDECIDED, UNTESTED
 
@@ -180,3 +182,16 @@ def test_the_page_shows_verdicts_failures_and_the_quick_notice(usual):
     doc["quick"] = False
     assert f"- `{name}`: contact" in page(doc)
     assert "quick run" not in page(doc)
+
+
+def test_the_committed_page_follows_from_the_committed_flights():
+    """Its tables and verdicts too, whatever was edited since."""
+    folder = Path(__file__).parents[1] / "docs" / "results"
+    doc = json.loads((folder / "results.json").read_text())
+    assert page(doc) == (folder / "reproduction.md").read_text()
+    assert json.loads(json.dumps(tables(doc["uses"], doc["cells"]))) == doc["tables"]
+    assert json.loads(json.dumps(claims(doc))) == doc["claims"]
+    assert (doc["quick"], doc["not_flown"], doc["errors"]) == (False, [], {})
+    planned = make_plan(Sizes(), 0, {})  # without the orders at obstacle-aware cost
+    assert planned.cells.keys() <= doc["cells"].keys()
+    assert all((folder / name).is_file() for name in doc["figures"].values())

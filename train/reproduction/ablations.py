@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from train.reproduction.figures import PLANNER_NAMES
 from train.reproduction.wording import (
     FAILS,
     FEW,
@@ -62,8 +63,8 @@ def aware_order(doc: Document) -> Verdict | None:
             gains.append(row["saving"])
             differ = max(differ, row["changed"])
             parts.append(
-                f"{planner}: {interval(row['saving'], digits=2)} over {row['saving']['n']} scenes, "
-                f"in {row['changed']} of which the order differs"
+                f"{PLANNER_NAMES[planner]}: {interval(row['saving'], digits=2)} over "
+                f"{row['saving']['n']} scenes, in {row['changed']} of which the order differs"
             )
     if not parts:
         return None

@@ -101,6 +101,7 @@ def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:
         for k in range(MOST)
     ]
     return {
+        "drawn": instances,
         "instances": len(least),
         "seed": seed,
         "items": by_items,

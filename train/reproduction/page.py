@@ -243,8 +243,9 @@ def _orders(doc: Document) -> list[str]:
     lines = [
         "## What the order alone is worth",
         "",
-        f"{orders['instances']} random instances (seed {orders['seed']}), nothing flown: straight "
-        "legs, a random order against the best one.",
+        f"{orders['instances']} random instances (seed {orders['seed']}; {orders['drawn']} drawn, "
+        "without those with items nearer than 20 m to each other or the depot), nothing flown: "
+        "straight legs, a random order against the best one.",
         "",
         *table(["K", "random / best", "mean saving", "5th to 95th percentile"], rows),
     ]
