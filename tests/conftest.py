@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -62,3 +64,18 @@ def free_course(free_scene: Scene) -> Course:
 @pytest.fixture(scope="session")
 def free_mission(free_scene: Scene) -> Course:
     return Course.mission(free_scene, (0, 1))
+
+
+@pytest.fixture(scope="session")
+def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two items in a flat room, with room around the depot and a box in the way of segment 1."""
+    path = tmp_path_factory.mktemp("scene") / "hop.json"
+    Scene(
+        name="hop",
+        seed=0,
+        bounds=[[0, 0, 0], [150, 150, 30]],
+        depot=[75, 20, 15],
+        items=[[75, 120, 15], [120, 60, 15]],
+        obstacles=[[[85, 80, 0], [105, 100, 30]]],
+    ).save(path)
+    return path

@@ -7,7 +7,7 @@ import pytest
 
 from mjcollect.course import Course
 from mjcollect.observation import WITH_LAW
-from train import generalist
+from train import generalist, learning_loop
 from train.policies import TrainedPolicy
 from train.pool import ITEMS, OBSTACLES, SCALE, build, draw_leg
 from train.runs import RunFolder
@@ -80,7 +80,7 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
         return built
 
     monkeypatch.setattr(generalist, "_build", link)
-    monkeypatch.setattr(generalist, "stop_on_ctrl_c", Pressed)
+    monkeypatch.setattr(learning_loop, "stop_on_ctrl_c", Pressed)
     codes = [generalist.main(["--out", str(out), *TINY])]
     codes += [generalist.main(["--out", str(out), "--resume", *TINY]) for _ in range(3)]
     assert codes == [130, 130, 130, 0]

@@ -43,21 +43,6 @@ FILES = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def scene_file(tmp_path_factory):
-    """Two items in a flat room, with room around the depot."""
-    path = tmp_path_factory.mktemp("scene") / "pair.json"
-    Scene(
-        name="pair",
-        seed=0,
-        bounds=[[0, 0, 0], [150, 150, 30]],
-        depot=[75, 20, 15],
-        items=[[75, 120, 15], [120, 60, 15]],
-        obstacles=[[[85, 80, 0], [105, 100, 30]]],
-    ).save(path)
-    return path
-
-
 def run(scene_file, out, *more):
     arguments = ["--scene", str(scene_file), "--out", str(out), *TINY, "--retries", "0", *more]
     return mission(arguments)

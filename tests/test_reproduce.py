@@ -173,16 +173,13 @@ def test_a_cell_alone_is_flown_and_judged(tmp_path, monkeypatch):
 
 
 def test_time_orders_are_computed_once(tmp_path, monkeypatch):
-    def threads(workers, **_):
-        return ThreadPoolExecutor(workers)
-
-    monkeypatch.setattr(prepare, "ProcessPoolExecutor", threads)
+    monkeypatch.setattr(prepare, "importing_pool", ThreadPoolExecutor)
     folder, sizes = RunFolder(tmp_path), Sizes(floating=1, city=0, items=3)
     assert prepare.time_orders(folder, sizes, 1, compute=False) == {}
     found = prepare.time_orders(folder, sizes, 1, compute=True)
     ((label, scene),) = random_scenes(sizes).items()
     assert found == {label: plan_order(scene, "lkh", cost=travel_times(scene))}
-    monkeypatch.setattr(prepare, "ProcessPoolExecutor", None)
+    monkeypatch.setattr(prepare, "importing_pool", None)
     assert prepare.time_orders(folder, sizes, 1, compute=True) == found
     assert prepare.time_orders(folder, replace(sizes, items=2), 1, compute=False) == {}
 

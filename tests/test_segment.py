@@ -32,21 +32,6 @@ KEYS = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def scene_file(tmp_path_factory):
-    """A 100 m hop in a flat room, with a box in the way of segment 1."""
-    path = tmp_path_factory.mktemp("scene") / "hop.json"
-    Scene(
-        name="hop",
-        seed=0,
-        bounds=[[0, 0, 0], [150, 150, 30]],
-        depot=[75, 20, 15],
-        items=[[75, 120, 15], [120, 60, 15]],
-        obstacles=[[[85, 80, 0], [105, 100, 30]]],
-    ).save(path)
-    return path
-
-
 def run(scene_file, out, *more):
     return main(["--scene", str(scene_file), "--out", str(out), *TINY, *more])
 

@@ -20,20 +20,6 @@ from train.runs import RunFolder
 
 
 @pytest.fixture(scope="module")
-def scene_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "pair.json"
-    Scene(
-        name="pair",
-        seed=0,
-        bounds=[[0, 0, 0], [150, 150, 30]],
-        depot=[75, 20, 15],
-        items=[[75, 120, 15], [120, 60, 15]],
-        obstacles=[[[85, 80, 0], [105, 100, 30]]],
-    ).save(path)
-    return path
-
-
-@pytest.fixture(scope="module")
 def weights(scene_file, tmp_path_factory):
     """`law.safetensors`, whose corrections are zero; `wild.safetensors` always climbs."""
     folder = tmp_path_factory.mktemp("weights")
@@ -127,6 +113,7 @@ def test_the_first_failure_is_found(scene_file):
     ("arguments", "named"),
     [
         (["--scene", "scenario_1", "--policy", "README.md"], "README.md: holds no policy"),
+        (["--scene", "scenario_1", "--policy", "none.pt"], "none.pt: holds no policy"),
         (["--scene", "scenario_1", "--policy", "x", "--planner", "mpc"], "--policy: x"),
         (["--scene", "scenario_1", "--planner", "mpc", "--finetune", "-1"], "--finetune: -1"),
     ],

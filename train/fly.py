@@ -86,6 +86,7 @@ def fly_mission(args: Args) -> int:
             "--planner: policy: needs --run DIR with trained policies or --policy FILE; train some "
             "with python -m train.mission, or give --planner mpc, reference or guidance"
         )
+    policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
@@ -110,11 +111,10 @@ def fly_mission(args: Args) -> int:
     folder.check(config, resume=False, overwrite=args.overwrite)
     course = Course.mission(scene, order)
     notes: list[str] = []
-    if args.policy is not None:
-        start_from(args.policy, LearnConfig())  # refused before anything is written
+    if args.policy is not None and policy is not None:
         folder.create(config, scene, overwrite=args.overwrite)
         try:
-            made = fly_unseen(course, order, args.policy, folder, args.finetune, seed)
+            made = fly_unseen(course, order, policy, args.policy, folder, args.finetune, seed)
         except Stopped:
             return INTERRUPTED
         flight, trained, notes = made.flight, made.trained, made.notes

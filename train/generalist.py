@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from mjcollect.observation import WITH_LAW
 from train.evaluation import Evaluator, stream
 from train.learn import Trainer, make_simulations
 from train.learn_config import LearnConfig
+from train.learning_loop import learn_to_the_end
 from train.pool import build_all, draw_leg
 from train.runs import (
     INTERRUPTED,
@@ -117,14 +117,14 @@ class Generalist:
         courses = [legs[i % len(legs)] for i in range(config.envs)]
         return make_simulations(courses, config, int(rng.integers(2**62)), disturbances)
 
-    def rotate(self) -> bool:
-        """Change the segments if it is time; whether they were."""
-        due = self.trainer.learner.updates // self.args.rotate
-        if due == self.rotation:
-            return False
-        self.rotation = due
-        self.trainer.move(self._simulations())
-        return True
+    def rotate(self) -> None:
+        """Change the segments if it is time."""
+        self._turn_to(self.trainer.learner.updates // self.args.rotate)
+
+    def _turn_to(self, rotation: int) -> None:
+        if rotation != self.rotation:
+            self.rotation = rotation
+            self.trainer.move(self._simulations())
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the buffer's content and the settings."""
@@ -132,9 +132,7 @@ class Generalist:
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go back to a state of `state_dict`."""
-        if state["rotation"] != self.rotation:
-            self.rotation = state["rotation"]
-            self.trainer.move(self._simulations())
+        self._turn_to(state["rotation"])
         self.trainer.load_state_dict(state["trainer"])
 
 
@@ -218,33 +216,18 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
 
 def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
     """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
-    trainer = generalist.trainer
-    parts: dict[str, Any] = {"generalist": generalist, "buffer": trainer.buffer}
-    if args.resume and folder.load_checkpoint(**parts):
-        say(f"resuming after {trainer.learner.updates} updates")
-        folder.write_metrics(trainer.rows)
-    saved, shown = trainer.learner.updates, len(trainer.rows)
-    begun, before = time.monotonic(), trainer.seconds
-    with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
-        bar.update(trainer.learner.updates)
-        for updates in trainer.run():
-            bar.update(updates - bar.n)
-            trainer.seconds = before + time.monotonic() - begun
-            generalist.rotate()
-            if len(trainer.rows) > shown:
-                folder.write_metrics(trainer.rows)
-                shown = len(trainer.rows)
-                row = trainer.rows[-1]
-                bar.set_postfix_str(
-                    f"held out: success {row['eval_success_rate']:.1%}, "
-                    f"calm {row['eval_time']:.2f} s, all {row['eval_mean_time']:.2f} s"
-                )
-            if updates - saved >= args.checkpoint_every or stopped() or trainer.finished:
-                folder.save_checkpoint(**parts)
-                saved = updates
-            if stopped() and not trainer.finished:
-                return False
-    return True
+    return learn_to_the_end(
+        generalist.trainer,
+        folder,
+        {"generalist": generalist, "buffer": generalist.trainer.buffer},
+        lambda row: (
+            f"held out: success {row['eval_success_rate']:.1%}, calm {row['eval_time']:.2f} s, "
+            f"all {row['eval_mean_time']:.2f} s"
+        ),
+        resume=args.resume,
+        checkpoint_every=args.checkpoint_every,
+        after_round=generalist.rotate,
+    )
 
 
 def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[int]]) -> None:

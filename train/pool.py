@@ -7,10 +7,7 @@ takes a second or so; processes of their own do it once, into files.
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
-import signal
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +19,7 @@ from mjcollect.guidance import GuidanceError
 from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.evaluation import stream
+from train.processes import importing_pool
 
 ITEMS = (2, 8)  # of a scene, both included
 OBSTACLES = (5, 60)
@@ -82,11 +80,8 @@ def build_all(
     seed: int, numbers: Sequence[int], folder: Path, workers: int
 ) -> Iterator[tuple[int, bool]]:
     """`build` each of `numbers` in `workers` processes; yields number and success, in order."""
-    context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_ctrl_c) as pool:
-        yield from zip(numbers, pool.map(partial(build, seed, folder), numbers), strict=True)
-
-
-def _leave_ctrl_c() -> None:
-    """Leave Ctrl-C to the program itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with importing_pool(workers) as pool:
+        try:
+            yield from zip(numbers, pool.map(partial(build, seed, folder), numbers), strict=True)
+        finally:
+            pool.shutdown(cancel_futures=True)  # after Ctrl-C only what has begun is waited for

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from types import ModuleType
@@ -27,6 +28,16 @@ def warm_up() -> None:
     """Let the server start to import, beside whatever this process does next."""
     forkserver.set_forkserver_preload(list(IMPORTED))
     forkserver.ensure_running()
+
+
+def importing_pool(workers: int) -> ProcessPoolExecutor:
+    """A pool of `workers` processes that import for themselves and leave Ctrl-C to this one."""
+    context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_ctrl_c)
+
+
+def _leave_ctrl_c() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Program:

@@ -9,11 +9,10 @@ import dataclasses
 import math
 import os
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import torch
 import tyro
@@ -28,6 +27,7 @@ from mjcollect.verify import verify
 from train.flight_recorder import fly
 from train.learn import Trainer, segment_trainer
 from train.learn_config import LearnConfig
+from train.learning_loop import learn_to_the_end
 from train.policies import TrainedPolicy, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
@@ -35,10 +35,8 @@ from train.runs import (
     RunError,
     RunFolder,
     default_folder,
-    progress_bar,
     run_program,
     say,
-    stop_on_ctrl_c,
     versions,
 )
 
@@ -152,30 +150,15 @@ def _run(
 
 def _learn(trainer: Trainer, course: Course, folder: RunFolder, args: Args) -> bool:
     """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
-    parts: dict[str, Any] = {"trainer": trainer, "buffer": trainer.buffer}
-    if args.resume and folder.load_checkpoint(**parts):
-        say(f"resuming after {trainer.learner.updates} updates")
-        folder.write_metrics(trainer.rows)  # cut back to the checkpoint
     goal = segment_bound(course.scene, *course.nodes)
-    saved, shown = trainer.learner.updates, len(trainer.rows)
-    begun, before = time.monotonic(), trainer.seconds
-    with stop_on_ctrl_c() as stopped, progress_bar(args.learn.updates) as bar:
-        bar.update(trainer.learner.updates)
-        for updates in trainer.run():
-            bar.total = args.learn.updates if updates < args.learn.updates else trainer.budget
-            bar.update(updates - bar.n)
-            trainer.seconds = before + time.monotonic() - begun
-            if trainer.rows:
-                bar.set_postfix_str(_progress(trainer.rows[-1], goal), refresh=False)
-            if len(trainer.rows) > shown:
-                folder.write_metrics(trainer.rows)
-                shown = len(trainer.rows)
-            if updates - saved >= args.checkpoint_every or stopped() or trainer.finished:
-                folder.save_checkpoint(**parts)
-                saved = updates
-            if stopped() and not trainer.finished:
-                return False
-    return True
+    return learn_to_the_end(
+        trainer,
+        folder,
+        {"trainer": trainer, "buffer": trainer.buffer},
+        lambda row: _progress(row, goal),
+        resume=args.resume,
+        checkpoint_every=args.checkpoint_every,
+    )
 
 
 def _progress(row: dict[str, float], bound: float) -> str:

@@ -18,7 +18,7 @@ from mjcollect.verify import verify
 from train import segment
 from train.flight_recorder import Flight, Policy, fly, record
 from train.learn_config import LearnConfig
-from train.policies import start_from
+from train.policies import TrainedPolicy
 from train.runs import INTERRUPTED, RunFolder
 
 
@@ -44,20 +44,21 @@ class Mended:
 def fly_unseen(
     course: Course,
     order: tuple[int, ...],
+    policy: TrainedPolicy,
     weights: Path,
     folder: RunFolder,
     finetune: int,
     seed: int,
 ) -> Mended:
-    """Fly a mission by the policy in `weights`.
+    """Fly a mission by a policy.
 
     Args:
-        folder: where segments that fail are trained. finetune: updates of such a training; 0: none.
+        weights: the policy's file. folder: where segments that fail are trained.
+        finetune: updates of such a training; 0: none.
 
     Raises:
-        RunError: `weights` holds no policy. Stopped: by Ctrl-C.
+        Stopped: by Ctrl-C.
     """
-    policy, _ = start_from(weights, LearnConfig())
     policies: list[Policy] = [policy] * len(course.guidance)
     made = Mended(fly(course, policies, policy.observation), "policy", [None] * len(policies))
     while (failing := first_failure(course, order, made.flight)) is not None:
@@ -66,7 +67,7 @@ def fly_unseen(
         result = _train(course, order, weights, folder, finetune, seed, failing)
         made.trained[failing] = result
         at = folder.path / "segments" / str(failing) / "policy.pt"
-        policies[failing] = start_from(at, LearnConfig())[0]
+        policies[failing] = TrainedPolicy.load(at)
         made.notes.append(
             f"The policy failed in segment {failing}; it was trained there with "
             f"{result['updates']} updates."

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import signal
-from concurrent.futures import ProcessPoolExecutor
 
 from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
+from train.processes import importing_pool
 from train.reproduction.document import machine
 from train.reproduction.plan import Order, Plan, Sizes, content, random_scenes
 from train.runs import RunError, RunFolder, say
@@ -27,9 +25,8 @@ def time_orders(folder: RunFolder, sizes: Sizes, workers: int, compute: bool) ->
     missing = [label for label, key in keys.items() if key not in kept]
     if compute and missing:
         say(f"ordering {len(missing)} random scenes at obstacle-aware cost")
-        context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
         count = min(workers, len(missing))
-        with ProcessPoolExecutor(count, mp_context=context, initializer=_leave_ctrl_c) as pool:
+        with importing_pool(count) as pool:
             found = pool.map(time_order, [scenes[label] for label in missing])
             for label, order in zip(missing, found, strict=True):
                 kept[keys[label]] = list(order)
@@ -42,11 +39,6 @@ def time_order(scene: Scene) -> Order:
     from mjcollect.travel_cost import travel_times
 
     return plan_order(scene, "lkh", cost=travel_times(scene))
-
-
-def _leave_ctrl_c() -> None:
-    """Leave Ctrl-C to the program itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def write_scenes(folder: RunFolder, plan: Plan) -> None:
