@@ -1,8 +1,8 @@
-"""What keeps a flight from its command: wind, gusts, actuator errors, position noise.
+"""What a flight was not planned for: wind, gusts, actuator errors, position noise, moving boxes.
 
-All but the noise act on the acceleration of every physics step, so they are a change of MuJoCo's
-controls: an acceleration of the air's is the same as one of the rotors'. The body is that of the
-undisturbed task; only its controls and what it is told of its position change.
+Wind, gusts and actuator errors act on the acceleration of every physics step, so they are a change
+of MuJoCo's controls: an acceleration of the air's is the same as one of the rotors'. The body is
+that of the undisturbed task; only its controls and what it is told of its position change.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from mjcollect.flight import Bools, World
 from mjcollect.geometry import Array
+from mjcollect.moving import Movers
 
 GUST_SECONDS = 1.0  # in which a gust's memory falls to 1/e
-REST_SPEED = 1.0  # m/s: below it a disturbed stop within the tolerance counts as one
+REST_SPEED = 2.0  # m/s: below it a disturbed stop within the tolerance counts as one
 MARGIN = 5.0  # metres beyond the bounds that are still inside: the depot may lie in their corner
 
 
@@ -41,6 +42,8 @@ class Disturbance:
     """s by which commands come late, in whole physics steps and at most a slot."""
     noise: float = 0.0
     """m: standard deviation of the error of each slot's observed position, along each axis."""
+    mover: float = 0.0
+    """m/s: speed of a box that goes to and fro across the way."""
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -75,11 +78,12 @@ class Disturbances:
         self._strength, self._gain = np.zeros((count, 1)), np.ones((count, 1))
         self._late, self._noise = np.zeros(count), np.zeros((count, 1))
         self._before = np.zeros((count, 3))  # the last command
+        self.movers = Movers(count)
 
-    def begin(self, which: NDArray[np.intp]) -> None:
-        """Draw anew for episodes that begin in the simulations `which` (n,)."""
+    def begin(self, which: NDArray[np.intp], start: Array, goal: Array) -> None:
+        """Draw anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
         level, n = self.level, len(which)
-        share = (self.rng.random((5, n)) if self.vary else np.ones((5, n))) * ~self.calm[which]
+        share = (self.rng.random((6, n)) if self.vary else np.ones((6, n))) * ~self.calm[which]
         angle, sign = 2 * np.pi * self.rng.random(n), self.rng.choice([-1.0, 1.0], n)
         wind = level.wind * share[0]
         self._wind[which] = np.stack([wind * np.cos(angle), wind * np.sin(angle), 0 * wind], axis=1)
@@ -89,6 +93,8 @@ class Disturbances:
         self._late[which] = level.delay * share[3]
         self._noise[which, 0] = level.noise * share[4]
         self._before[which] = 0.0
+        if level.mover > 0.0:
+            self.movers.begin(which, start, goal, level.mover * share[5], self.rng)
 
     def controls(self, world: World, command: Array) -> Array:
         """Accelerations (N, n, 3) in m/s^2 of a slot's physics steps, for commands (N, 3).
@@ -117,11 +123,14 @@ class Disturbances:
     def state_dict(self) -> dict[str, Any]:
         """Everything but the level."""
         arrays = {name: value.tolist() for name, value in vars(self).items() if name[0] == "_"}
-        return {**arrays, "rng": self.rng.bit_generator.state}
+        return {
+            **arrays, "movers": self.movers.state_dict(), "rng": self.rng.bit_generator.state,
+        }  # fmt: skip
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go back to a state of `state_dict`."""
         self.rng.bit_generator.state = state["rng"]
+        self.movers.load_state_dict(state["movers"])
         for name, value in state.items():
-            if name != "rng":
+            if name not in ("rng", "movers"):
                 setattr(self, name, np.array(value))

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect import kernels
+from mjcollect import adaptation, kernels
 from mjcollect.course import Course
 from mjcollect.disturbance import MARGIN, REST_SPEED, Disturbances
 from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge
 from mjcollect.geometry import FAR, Array
-from mjcollect.observation import OBSERVATIONS, Parts, State
+from mjcollect.observation import ADAPTIVE, OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
 LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
@@ -26,6 +26,8 @@ SAVED = (
     "observed",
     "v",
     "drift",
+    "commanded",
+    "sums",
     "target",
     "collected",
     "steps",
@@ -80,7 +82,8 @@ class Episodes:
     Attributes:
         truth, observed, v: (N, 3) positions, the same as far as they are known if disturbed, and
             velocities. target: (N,) index of each one's current target.
-        drift: (N, 3) m/s^2, by which the last slot's acceleration differed from its command.
+        commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much its acceleration
+            differed from it. sums: of both so far, see `adaptation`.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
     """
 
@@ -100,11 +103,13 @@ class Episodes:
             raise ValueError(f"courses: {len(courses)}: must be 1 or the batch size {count}")
         self.courses, self.count, self.rules = tuple(courses), count, rules
         self.disturbances = disturbances
-        self.world = World.stack(
-            [courses[0].scene]
-            if all(course.scene is courses[0].scene for course in courses)
-            else [course.scene for course in courses]
-        )
+        scenes = [course.scene for course in courses]
+        self._adapts = rules.observation in ADAPTIVE
+        if self._adapts or disturbances is not None:  # each has a world of its own
+            scenes = [self.course(index).scene for index in range(count)]
+        elif all(scene is scenes[0] for scene in scenes):
+            scenes = scenes[:1]
+        self.world = World.stack(scenes)
         self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
         # All targets of all distinct courses in one list; each episode walks a stretch of it.
         distinct = list(dict.fromkeys(courses))
@@ -124,9 +129,12 @@ class Episodes:
             scene = distinct[w].scene
             self._items[index, : len(scene.items)] = scene.items
             self._depot[index] = scene.depot
-        self.truth, self.observed, self.v, self.drift, self._command = (
+        self.truth, self.observed, self.v, self.drift, self.commanded = (
             np.zeros((count, 3)) for _ in range(5)
         )
+        self.sums = np.zeros((count, adaptation.SUMS))
+        self._gain, self._push = adaptation.estimate(self.sums)
+        self._mover = np.zeros((count, 6))
         self.target = self._first.copy()
         self._before = np.zeros((count, most), dtype=bool)
         for index, w in enumerate(which):
@@ -136,6 +144,7 @@ class Episodes:
         self.crashed = np.zeros(count, dtype=bool)
         self._stop = np.zeros(count, dtype=bool)
         self._all = np.arange(count)
+        self._notice()
         self._approach = self._look()
 
     @property
@@ -149,27 +158,30 @@ class Episodes:
 
     def reset(self, which: NDArray[np.intp], q: Array, v: Array) -> None:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
-        self.truth[which], self.v[which], self.drift[which] = q, v, 0.0
-        if self.disturbances is not None:
-            self.disturbances.begin(which)
-            self.observed[which] = self.disturbances.seen(q, which)
+        self.truth[which], self.v[which] = q, v
+        self.commanded[which] = self.drift[which] = self.sums[which] = 0.0
         self.target[which] = self._first[which]
+        if self.disturbances is not None:
+            self.disturbances.begin(which, q, self._goal[self.target[which]])
+            self.observed[which] = self.disturbances.seen(q, which)
         self.collected[which] = self._before[which]
         self.steps[which] = 0
         self.crashed[which] = False
+        self._notice()
         self._look_anew(self._approach, which)
 
     def load(self, state: dict[str, Array]) -> None:
         """Go on from saved attributes, `SAVED`."""
         for name, value in state.items():
             setattr(self, name, value)
+        self._notice()
         self._approach = self._look()
 
     def begin_slot(self, action: Array) -> Array:
         """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
         goal, tolerance = self._goal[self.target], self._tolerance[self.target]
-        self._command, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
-        return self._command
+        self.commanded, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
+        return self.commanded
 
     def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
         """Judge the slot just flown and move on to the next target where one was reached.
@@ -179,9 +191,16 @@ class Episodes:
             sensed: (N, n) contact sensor after each step.
         """
         margin = BOUNDS_TOLERANCE if self.disturbances is None else MARGIN
+        if self.disturbances is not None and self.disturbances.level.mover > 0.0:
+            whole = np.concatenate([self.truth[:, None], path], axis=1)
+            sensed = sensed | self.disturbances.movers.touched(self.world, whole)
+            self.disturbances.movers.move(self.world.slot)
         slot = judge(self.world, self.truth, path, sensed, self._stop, margin)
         before = self._approach
-        self.drift = (v - self.v) / self.world.slot - self._command
+        self.drift = (v - self.v) / self.world.slot - self.commanded
+        if self._adapts:
+            a_max = self.world.a_max
+            self.sums = adaptation.gather(self.sums, self.commanded / a_max, self.drift / a_max)
         self.truth, self.v = path[:, -1].copy(), v.copy()
         if self._preset.crash_ends:
             ended = slot.crashed
@@ -192,6 +211,7 @@ class Episodes:
         if self.disturbances is not None:
             slot = replace(slot, arrived=slot.arrived & self._rests())
             self.observed = self.disturbances.seen(self.truth)
+        self._notice()
         after = self._look()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
         self.crashed |= slot.crashed
@@ -219,11 +239,21 @@ class Episodes:
     def observe(self, which: NDArray[np.intp] | None = None) -> Parts:
         """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""
         state = State(
-            self.q, self.v, self._approach, self._items, self.collected, self._depot, self.drift
+            self.q,
+            self.v,
+            self._approach,
+            self._items,
+            self.collected,
+            self._depot,
+            self.commanded,
+            self.drift,
+            self._gain,
+            self._push,
+            self._mover,
         )
         if which is None:
-            return self._observation(self.world, state)
-        return self._observation(self.world.rows(which), state.rows(which))
+            return self._observation(self._noticed, state)
+        return self._observation(self._noticed.rows(which), state.rows(which))
 
     @property
     def onward(self) -> Array:
@@ -231,8 +261,24 @@ class Episodes:
         return np.asarray(self._approach.onward / self.world.v_max[..., 0])
 
     def guidance_action(self) -> Array:
-        """Actions (N, 3) of the guidance law from here, see `kernels.law`."""
+        """Actions (N, 3) of the guidance law from here, see `kernels.law`.
+
+        With an adaptive observation, for the acceleration that is left, and against the push.
+        """
         return self._approach.law
+
+    def _notice(self) -> None:
+        """Bring up to date what is known of disturbances: the world as decisions see it."""
+        self._noticed = self.world
+        if self._adapts:
+            self._gain, self._push = adaptation.estimate(self.sums)
+            a_max = self.world.a_max * adaptation.usable(self._gain, self._push)
+            self._noticed = self._noticed._replace(a_max=a_max)
+        if self.disturbances is not None and self.disturbances.level.mover > 0.0:
+            movers = self.disturbances.movers
+            boxes = np.concatenate([self.world.boxes, movers.boxes], axis=1)
+            self._noticed = self._noticed._replace(boxes=boxes)
+            self._mover = movers.seen(self.q, self.world.v_max)
 
     def _look(self) -> Approach:
         approach = Approach(
@@ -252,9 +298,12 @@ class Episodes:
     def _look_anew(self, approach: Approach, which: NDArray[np.intp]) -> None:
         """Write the rows `which` of an approach."""
         for target, mine in self._by_target(which):
+            way = self._guidance[target].way
+            if len(self._noticed.boxes[0]) > len(self.world.boxes[0]):
+                way = way._replace(line=way.line[:0])  # planned without the moving box
             kernels.look(
-                self.world,
-                self._guidance[target].way,
+                self._noticed,
+                way,
                 self._guidance[target].slack,
                 mine,
                 self._goal[target],
@@ -274,6 +323,10 @@ class Episodes:
                 extra = np.linalg.norm(self._goal[target] - beyond)
                 approach.onward[mine] = np.linalg.norm(self.q[mine] - beyond, axis=-1) - extra
             approach.returning[mine] = self._node[target] < 0
+        if self._adapts:
+            gain, push = self._gain[which], self._push[which]
+            law = approach.law[which] * adaptation.usable(gain, push)
+            approach.law[which] = adaptation.counter(law, gain, push)
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """The episodes `which` in groups with the same current target."""

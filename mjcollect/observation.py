@@ -1,8 +1,8 @@
 """The named observations, vectorised over N simulations.
 
-`guided`, the default, works for any number of obstacles and items. `robust` adds what last kept the
-flight from its command, and takes that off the law's action. `paper` is the state
-S = {q, v, l, m, p} of the paper's section IV-B. All return named parts, each (N, d), in order.
+`guided`, the default, works for any number of obstacles and items. `robust` adds what kept the
+flight from its commands, and the law adapts to it. `paper` is the state S = {q, v, l, m, p} of the
+paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ class State:
     Attributes:
         q, v: (N, 3). approach: the way to the current target.
         items: (N, K, 3), as padded. collected: (N, K).
-        depot: (N, 3). drift: (N, 3) m/s^2, by which the last slot differed from its command.
+        depot: (N, 3). commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much the
+            slot differed from it. gain, push: (N, 1), (N, 3) estimates, see `adaptation`.
+        mover: (N, 6), see `Movers.seen`.
     """
 
     q: Array
@@ -38,22 +40,23 @@ class State:
     items: Array
     collected: Bools
     depot: Array
+    commanded: Array
     drift: Array
+    gain: Array
+    push: Array
+    mover: Array
 
     def rows(self, which: NDArray[np.intp]) -> State:
         """The state of the simulations `which` (n,) only."""
         approach = Approach(
             **{field.name: getattr(self.approach, field.name)[which] for field in fields(Approach)}
         )
-        return State(
-            self.q[which],
-            self.v[which],
-            approach,
-            self.items[which],
-            self.collected[which],
-            self.depot[which],
-            self.drift[which],
-        )
+        arrays = {
+            field.name: getattr(self, field.name)[which]
+            for field in fields(State)
+            if field.name != "approach"
+        }
+        return State(approach=approach, **arrays)
 
 
 def guided(world: World, state: State) -> Parts:
@@ -113,11 +116,23 @@ def paper(world: World, state: State) -> Parts:
 
 
 def robust(world: World, state: State) -> Parts:
-    """`guided`, the drift in units of a_max, and the law's action against that drift."""
-    parts, drift = guided(world, state), state.drift / world.a_max
+    """`guided`, a moving box, the last slot's command and drift, and what adapts the law.
+
+    Accelerations are in units of what is left of a_max, see `adaptation.usable`.
+    """
+    parts = guided(world, state)
     law = parts.pop("guide_action")
-    return {**parts, "drift": drift, "guide_action": law - drift}
+    return {
+        **parts,
+        "mover": state.mover,
+        "command": state.commanded / world.a_max,
+        "drift": state.drift / world.a_max,
+        "gain": state.gain,
+        "push": state.push,
+        "guide_action": law,
+    }
 
 
 OBSERVATIONS = {"guided": guided, "paper": paper, "robust": robust}
 WITH_LAW = ("guided", "robust")  # end with an action that the policy can correct
+ADAPTIVE = ("robust",)  # that action adapts to disturbances

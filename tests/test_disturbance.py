@@ -71,7 +71,7 @@ def test_gain_and_delay_change_what_is_flown(course):
 def test_gusts_have_their_strength_and_memory(course):
     count = 4000
     gusts = Disturbances(Disturbance(gusts=2.0), count, np.random.default_rng(0))
-    gusts.begin(np.arange(count))
+    gusts.begin(np.arange(count), np.zeros((count, 3)), np.zeros((count, 3)))
     world = Simulations([course], 1, threads=1).episodes.world
     begun = gusts.controls(world, np.zeros((count, 3)))[:, 0]
     for _ in range(5):

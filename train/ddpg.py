@@ -126,6 +126,7 @@ class BaseLearner:
         average_rate: float = 0.002,
         optimizer: str = "adam",
         residual: float = 0.0,
+        law_pull: float = 0.0,
         actor_delay: int = 0,
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
@@ -138,6 +139,7 @@ class BaseLearner:
         self.device = device
         self.kind = optimizer
         self.residual, self._delay = residual, actor_delay
+        self.law_pull = law_pull if residual else 0.0
         self.actor = make_actor(observation_size, width, residual).to(device)
         if weights is not None:
             self.actor.load_state_dict(weights)
@@ -200,6 +202,9 @@ class Learner(BaseLearner):
         for optimizer, rate in zip(optimizers, self.rates, strict=True):
             optimizer.param_groups[0]["lr"] = rate
             optimizer.zero_grad(set_to_none=True)
+        if self.law_pull:
+            correction = self.actor(batch.select("observation"))["correction"]
+            losses["loss_actor"] = losses["loss_actor"] + self.law_pull * correction.square().mean()
         # Both gradients before either step: the actor's goes back through the critic, and autograd
         # does not notice that a step has changed the critic's weights under the detached copy.
         losses["loss_value"].backward()

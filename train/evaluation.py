@@ -32,6 +32,8 @@ class Evaluation:
         mean_time: over the arrivals, in seconds; NaN if there were none.
         mean_cost: the same with what the places of the stops cost on the next leg.
         mean_return: undiscounted return over all starts.
+        failure_seconds: that a start without arrival counts for in ranking; infinite: one more
+            arrival is better, however late.
     """
 
     success_rate: float
@@ -40,11 +42,14 @@ class Evaluation:
     mean_time: float
     mean_cost: float
     mean_return: float
+    failure_seconds: float = math.inf
 
     @property
     def rank(self) -> tuple[float, ...]:
         """Larger is better: arrive from the point, from everywhere, then sooner."""
         cost = self.mean_cost if math.isfinite(self.mean_cost) else math.inf
+        if math.isfinite(self.failure_seconds):
+            return (self.point_rate, -cost - self.failure_seconds * (1.0 - self.success_rate))
         return (self.point_rate, self.success_rate, -cost)
 
 
@@ -57,12 +62,15 @@ class Evaluator:
         config: LearnConfig,
         seed: int,
         disturbances: Disturbances | None = None,
+        failure_seconds: float = math.inf,
     ) -> None:
         """Draw the starts on every course, of one leg each, from the stream `evaluate`.
 
         Args:
             disturbances: of len(courses) * config.eval_episodes simulations, course by course.
+            failure_seconds: see `Evaluation`.
         """
+        self._failure_seconds = failure_seconds
         rng, each = np.random.default_rng(stream(seed, "evaluate")), config.eval_episodes
         self.sims = Simulations(
             [courses[0]] if len(courses) == 1 else [c for c in courses for _ in range(each)],
@@ -115,6 +123,7 @@ class Evaluator:
             mean_time=float(time[success].mean()) if success.any() else math.nan,
             mean_cost=float((time + onward)[success].mean()) if success.any() else math.nan,
             mean_return=float(total.mean()),
+            failure_seconds=self._failure_seconds,
         )
 
     def close(self) -> None:

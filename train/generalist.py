@@ -1,4 +1,4 @@
-"""Learn one policy for scenes it has never seen: many segments at once, half of them disturbed.
+"""Learn one policy for scenes it has never seen: many segments at once, most of them disturbed.
 
 python -m train.generalist --out DIR
 
@@ -40,12 +40,14 @@ from train.runs import (
 )
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
+FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
 LEARN = LearnConfig(
-    updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, batch=512,
-    buffer=500_000, alpha_actor=3e-4, alpha_critic=3e-4, actor_delay=2_000, demonstrations=20_000,
-    guided_until=0.2, eval_every=5_000, eval_episodes=2, observation="robust",
+    updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, batch=512,
+    buffer=1_000_000, alpha_actor=3e-4, alpha_critic=1e-3, actor_delay=5_000, residual=0.5,
+    law_pull=0.01, noise_min=0.02, noise_max=0.2, demonstrations=50_000, guided_until=0.0,
+    eval_every=10_000, eval_episodes=4, observation="robust",
 )  # fmt: skip
-DISTURBANCE = Disturbance(wind=3.0, gusts=1.5, gain=0.15, delay=0.06, noise=0.3)
+DISTURBANCE = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0)
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,13 @@ class Args:
     """Processes that build the segments' guidance."""
     segments: int = 400
     """Segments trained on, each of a generated scene of its own."""
-    held_out: int = 60
+    held_out: int = 100
     """Segments of further scenes that policies are compared on."""
     courses: int = 64
     """Segments flown side by side, each in several simulations."""
     rotate: int = 2_000
     """Updates after which other segments are flown."""
-    disturbed: float = 0.5
+    disturbed: float = 0.7
     """Share of the simulations that are disturbed, up to `disturbance`."""
     disturbance: Annotated[Disturbance, tyro.conf.arg(name="")] = DISTURBANCE
     """Greatest disturbances."""
@@ -96,11 +98,11 @@ class Generalist:
         self._numbers, held_out = numbers
         config, seed = args.learn, args.seed
         courses = [draw_leg(seed, number).course(pool) for number in held_out]
-        # Calm from the point itself, disturbed from elsewhere in the ball.
+        # Calm from the point itself, disturbed from elsewhere in its ball.
         calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
         rng = np.random.default_rng(stream(seed, "evaluate disturbances"))
         disturbances = Disturbances(args.disturbance, len(calm), rng, vary=True, calm=calm)
-        evaluator = Evaluator(courses, config, seed, disturbances)
+        evaluator = Evaluator(courses, config, seed, disturbances, FAILURE_SECONDS)
         self.rotation = 0
         self.trainer = Trainer(
             self._simulations(), evaluator, config, seed, config.residual, args.device

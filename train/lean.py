@@ -174,11 +174,17 @@ class LeanLearner(BaseLearner):
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        d = d_action * (1 - output * output)  # derivative of tanh
+        slope = 1 - output * output  # derivative of tanh
+        d = d_action * slope
         if self.residual:
             d *= self.residual
+        if self.law_pull:
+            d += output * slope * (2 * self.law_pull / output.numel())
         backward(self._actor, self._gradients[1], actor_records, d, n)
-        return error.square().mean(), -q[n:].mean()
+        actor_loss = -q[n:].mean()
+        if self.law_pull:
+            actor_loss = actor_loss + self.law_pull * output.square().mean()
+        return error.square().mean(), actor_loss
 
     def _add_prior(self, s: Tensor, output: Tensor) -> Tensor:
         """As `ddpg.AddPrior`, where there is one."""

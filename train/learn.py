@@ -73,6 +73,7 @@ class Trainer:
             optimizer=config.optimizer,
             total_updates=config.updates,
             residual=residual,
+            law_pull=config.law_pull,
             actor_delay=config.actor_delay,
             device=device,
             weights=weights,

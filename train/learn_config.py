@@ -44,6 +44,8 @@ class LearnConfig:
     """The same where the law is slower than `hard_gap`."""
     hard_gap: float = 1.0
     """Seconds that the law needs beyond the least time, on average, in a hard segment."""
+    law_pull: float = 0.0
+    """Weight of the mean square correction, as a share of the greatest, in the actor's loss."""
     optimizer: Literal["adam", "sgd"] = "adam"
     """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
     actor_delay: int = 300
@@ -101,9 +103,9 @@ class LearnConfig:
         for field in ("alpha_actor", "alpha_critic"):
             if not 0.0 < getattr(self, field) < math.inf:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be a positive number")
-        for field in ("gap", "hard_gap"):
+        for field in ("gap", "hard_gap", "law_pull"):
             if not 0.0 <= getattr(self, field) < math.inf:
-                raise ValueError(f"{field}: {getattr(self, field)}: must be seconds, from 0 on")
+                raise ValueError(f"{field}: {getattr(self, field)}: must be a number from 0 on")
         shares = ("alpha_target", "average_rate", "final_rate", "guided_share", "guided_until")
         for field in (*shares, "residual", "hard_residual"):
             if not 0.0 <= getattr(self, field) <= 1.0:
