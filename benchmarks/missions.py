@@ -2,9 +2,10 @@
 
     python -m benchmarks.missions --floating 20 --city 10 --out docs/results/missions.json
 
-Learns each mission from scratch (`train.mission --no-video`) and flies its peers over the same
-scene in the same order. Results are saved after every mission; what the file already holds is not
-flown again.
+Runs the learned ones as programs of their own, without videos: `policy` learns every mission from
+scratch, `finetuned` from the policy that is shipped, and `shipped` flies that policy at once
+(`train.fly`, also without plots). Their peers fly the same scene in the same order. Results are
+saved after every mission; what the file already holds is not flown again.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ class Args:
     order: str = "lkh"
     """Visiting order: lkh, exact, random or given."""
     planners: tuple[str, ...] = ("policy", "mpc", "guidance")
-    """Which planners fly: policy, mpc, reference, guidance."""
+    """Which planners fly: policy, finetuned, shipped, mpc, reference, guidance."""
     workers: int = 2
     """Processes that train a mission's segments side by side."""
     seed: int = 0
@@ -84,13 +85,15 @@ def fly_reference(course: Course) -> tuple[Flight, Row]:
     return flight, {"counts": dict(reference.counts), "solver": dict(reference.statuses)}
 
 
-def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
-    """The result of `train.mission` as a program of its own, its memory and training times."""
+def run(scene: Scene, program: Sequence[str], args: Args) -> tuple[Row, Row]:
+    """The result of one of PROGRAMS; its memory, its training times, who flew in the end."""
     with tempfile.TemporaryDirectory() as folder:
         path, out = Path(folder) / "scene.json", Path(folder) / "run"
         scene.save(path)
-        command = [sys.executable, "-m", "train.mission", "--scene", str(path), "--out", str(out)]
-        command += ["--order", args.order, "--workers", str(args.workers), "--no-video"]
+        command = [sys.executable, "-m", *program, "--scene", str(path), "--out", str(out)]
+        command += ["--order", args.order, "--no-video"]
+        if program[0] == "train.mission":
+            command += ["--workers", str(args.workers)]
         with open(Path(folder) / "messages", "w") as messages:
             process = subprocess.Popen(
                 [*command, "--seed", str(args.seed)], stdout=messages, stderr=messages
@@ -98,7 +101,9 @@ def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
             peak = 0.0
             while process.poll() is None:
                 peak = max(peak, memory(process.pid))
-                time.sleep(3.0)  # reading the sizes takes a tenth of a second of a core
+                # Reading the sizes takes a tenth of a second of a core.
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(3.0)
         if not (out / "mission.json").is_file():
             raise SystemExit((Path(folder) / "messages").read_text()[-2000:])
         result = json.loads((out / "mission.json").read_text())
@@ -107,6 +112,7 @@ def learn(scene: Scene, args: Args) -> tuple[Row, Row]:
         "peak_gib": peak,
         "segment_train_seconds": [segment["train_seconds"] for segment in segments],
         "updates": [segment["updates"] for segment in segments],
+        "flown_by": result.get("planner", "policy"),
     }
 
 
@@ -121,6 +127,11 @@ def memory(pid: int) -> float:
     return total / 2**20
 
 
+PROGRAMS = {
+    "policy": ("train.mission", "--from-scratch"),
+    "finetuned": ("train.mission",),
+    "shipped": ("train.fly", "--no-plots"),
+}
 PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
     "mpc": fly_mpc,
     "reference": fly_reference,
@@ -148,8 +159,8 @@ def missions(args: Args, rows: list[Row]) -> None:
         course = Course.mission(scene, order)
         for name in todo:
             begun = time.perf_counter()
-            if name == "policy":
-                result, more = learn(scene, args)
+            if name in PROGRAMS:
+                result, more = run(scene, PROGRAMS[name], args)
             else:
                 flight, more = PLANNERS[name](course)
                 untaught = [None] * (len(order) + 1)
@@ -191,9 +202,10 @@ def summary(rows: list[Row]) -> list[str]:
 def main(args: Args) -> None:
     """Fly, save, print."""
     torch.set_num_threads(1)
-    unknown = sorted(set(args.planners) - {"policy", *PLANNERS})
+    known = [*PROGRAMS, *PLANNERS]
+    unknown = sorted(set(args.planners) - set(known))
     if unknown:
-        raise SystemExit(f"--planners: {unknown[0]}: must be one of policy, {', '.join(PLANNERS)}")
+        raise SystemExit(f"--planners: {unknown[0]}: must be one of {', '.join(known)}")
     rows: list[Row] = []
     if args.out and args.out.is_file():
         rows = json.loads(args.out.read_text())["results"]

@@ -1,13 +1,15 @@
 """Reward presets, vectorised over N simulations.
 
 `time`, the default: minus the time flown, shaped by a discount-consistent potential of the least
-time to go. `paper`: r1..r6 of the paper's section V-A to the letter.
+time to go. `careful`: the same with a crash that costs more, for flights that are disturbed.
+`paper`: r1..r6 of the paper's section V-A to the letter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from mjcollect.flight import Bools, Slot, World
 from mjcollect.geometry import Array
 
 CRASH = -2.0  # `time`: flat, with no potential term
+CAREFUL_CRASH = -10.0  # at -2 a policy in wind risks crashes for tenths of a second
 TIME_CAP = 60.0  # seconds; the time to go in the potential saturates here
 R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # paper, section V-A
 
@@ -70,15 +73,22 @@ def potential(world: World, approach: Approach, gamma: float) -> Array:
     return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
 
 
-def time_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
-    """-slot + gamma Phi' - Phi; -2 flat for a crash. Shape (N,).
+def time_reward(
+    world: World,
+    before: Approach,
+    after: Approach,
+    slot: Slot,
+    gamma: float,
+    crash: float = CRASH,
+) -> Array:
+    """-slot + gamma Phi' - Phi; `crash` flat for a crash. Shape (N,).
 
     On arrival Phi' is minus the time that the place of the stop costs on the next leg.
     """
     stopped = -after.onward / world.v_max[..., 0]
     ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
-    return np.where(slot.crashed, CRASH, shaped)
+    return np.where(slot.crashed, crash, shaped)
 
 
 def paper_reward(
@@ -100,4 +110,8 @@ class Preset:
 
 # Under `paper` a crash that ended the episode would be the best policy, since r1 costs hundreds
 # a slot: there it is charged per slot and motion goes on by (2)-(3).
-PRESETS = {"time": Preset(time_reward, True), "paper": Preset(paper_reward, False)}
+PRESETS = {
+    "time": Preset(time_reward, True),
+    "careful": Preset(partial(time_reward, crash=CAREFUL_CRASH), True),
+    "paper": Preset(paper_reward, False),
+}

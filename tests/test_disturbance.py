@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mjcollect.adaptation import DOUBT, KEPT, SUMS, counter, estimate, gather
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import GUST_SECONDS, MARGIN, REST_SPEED, Disturbance, Disturbances
@@ -103,9 +104,9 @@ def test_commands_beyond_the_limit_are_cut(course):
 
 
 def test_a_stop_that_is_blown_on_has_not_arrived(course):
-    """Wind adds 0.2 s of itself to a stop's speed: more than rest from 5 m/s^2 on."""
+    """Wind adds 0.2 s of itself to a stop's speed: more than rest from 10 m/s^2 on."""
     goal = course.guidance[0].goal
-    for wind, arrives in ((4.9, True), (5.1, False)):
+    for wind, arrives in ((9.9, True), (10.1, False)):
         sims = flights(course, Disturbance(wind=wind), 1)
         sims.place(np.array([0]), goal[None].copy(), np.zeros((1, 3)))
         outcome = sims.step(np.zeros((1, 3)))
@@ -183,22 +184,65 @@ def test_the_law_flies_a_tour_from_a_corner_of_the_bounds_in_wind(wind):
     assert done.all()
 
 
-def test_the_robust_observation_shows_what_kept_a_slot_from_its_command(course):
-    def flown(level):
+def test_the_robust_observation_shows_wind_and_weak_actuators(course):
+    """Estimates against the truth; the law's action is that for the acceleration that is left."""
+
+    def flown(level, slots=6):
         disturbances = Disturbances(level, 4, np.random.default_rng(3))
         rules = Rules("robust")
         sims = Simulations([course], 4, rules=rules, threads=1, disturbances=disturbances)
         place(sims, course, 4)
-        before = sims.episodes.observe()
-        np.testing.assert_array_equal(before["drift"], 0.0)
-        for _ in range(3):
-            sims.step(sims.episodes.guidance_action())
-        return sims, sims.episodes.observe()
+        for name in ("command", "drift", "gain", "push"):
+            np.testing.assert_array_equal(sims.episodes.observe()[name], 0.0)
+        rng = np.random.default_rng(5)
+        for _ in range(slots):
+            sims.step(0.5 * rng.standard_normal((4, 3)))
+        return sims, sims.episodes.observe(), disturbances
 
-    sims, seen = flown(Disturbance(wind=2.0))
-    wind = seen["drift"] * course.scene.a_max
-    np.testing.assert_allclose(np.linalg.norm(wind, axis=1), 2.0)
-    law = sims.episodes.guidance_action()
-    np.testing.assert_allclose(seen["guide_action"], law - wind / course.scene.a_max)
-    sims, seen = flown(Disturbance())
-    assert np.abs(seen["drift"]).max() < 1e-12
+    _, seen, truth = flown(Disturbance(wind=2.0), 3)
+    wind = truth.controls(flown(Disturbance(), 1)[0].episodes.world, np.zeros((4, 3)))[:, 0]
+    np.testing.assert_allclose(seen["push"] * course.scene.a_max, wind, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(seen["gain"], 0.0, atol=1e-9)
+    unit = seen["drift"] / np.linalg.norm(seen["drift"], axis=1, keepdims=True)
+    np.testing.assert_allclose(unit * 2.0, wind, rtol=1e-9, atol=1e-9)
+
+    sims, seen, truth = flown(Disturbance(gain=0.3), 40)
+    gain = seen["gain"][:, 0]
+    # Doubt keeps the estimate short of the truth, never beyond it.
+    assert (np.abs(gain) < 0.3).all()
+    assert (np.abs(gain) > 0.25).all()
+    along = np.sum(seen["drift"] * seen["command"], axis=1)
+    np.testing.assert_array_equal(np.sign(gain), np.sign(along))
+    assert np.abs(seen["push"]).max() < 0.02
+
+    sims, seen, _ = flown(Disturbance())
+    calm = Simulations([course], 4, threads=1)
+    calm.place(np.arange(4), sims.episodes.truth, sims.episodes.v)
+    calm.episodes.target = sims.episodes.target.copy()
+    calm.episodes.load({"truth": sims.episodes.truth, "v": sims.episodes.v})
+    np.testing.assert_allclose(seen["guide_action"], calm.episodes.guidance_action(), atol=1e-6)
+
+
+def test_the_adaptive_law_holds_against_the_push():
+    """Commands of `counter` fly as the action that was meant."""
+    rng = np.random.default_rng(0)
+    action, push = rng.standard_normal((2, 50, 3))
+    gain = rng.uniform(-0.4, 0.4, (50, 1))
+    command = counter(action, gain, push)
+    np.testing.assert_allclose(command * (1 + gain) + push, action)
+
+
+def test_estimates_are_a_weighted_regression():
+    """Against NumPy's least squares with the same weights; the doubt is a slot of its own."""
+    rng = np.random.default_rng(1)
+    command = rng.standard_normal((30, 3))
+    drift = 0.2 * command + [0.1, -0.05, 0.02] + 0.01 * rng.standard_normal((30, 3))
+    sums = np.zeros((1, SUMS))
+    for c, d in zip(command, drift, strict=True):
+        sums = gather(sums, c[None], d[None])
+    gain, push = estimate(sums)
+    weight = np.repeat(np.sqrt(KEPT ** np.arange(29, -1, -1)), 3)
+    columns = np.column_stack([command.ravel(), np.tile(np.eye(3), (30, 1))]) * weight[:, None]
+    columns = np.vstack([columns, [np.sqrt(DOUBT), 0, 0, 0]])
+    found = np.linalg.lstsq(columns, np.append(drift.ravel() * weight, 0.0), rcond=None)[0]
+    np.testing.assert_allclose([gain[0, 0], *push[0]], found, rtol=1e-9)

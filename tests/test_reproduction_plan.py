@@ -84,7 +84,7 @@ def test_arguments_fly_the_cell(tmp_path):
     assert program == "train.mission"
     assert words[words.index("--order") + 1] == "1,0"
     assert words[words.index("--seed") + 1] == "3"
-    assert {"--resume", "--no-video", "--no-plots", "--updates"} <= set(words)
+    assert {"--resume", "--from-scratch", "--no-video", "--no-plots", "--updates"} <= set(words)
     program, words = arguments_of(Cell("s", (1, 0), "mpc", 0), tmp_path, updates, keep=True)
     assert program == "train.fly"
     assert words[words.index("--planner") + 1] == "mpc"

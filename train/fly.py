@@ -1,8 +1,8 @@
-"""Fly a finished mission again, or a scene by a planner that needs no training.
+"""Fly a scene at once by the policy that is shipped, or by a planner; or a finished mission again.
 
-python -m train.fly --run DIR
+python -m train.fly --scene FILE
 python -m train.fly --scene FILE --planner mpc
-python -m train.fly --scene FILE --planner reference
+python -m train.fly --run DIR
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law, record
 from train.learn_config import LearnConfig
 from train.mission_report import mission_result, outcome, report, write_flight
-from train.policies import TrainedPolicy, digest, start_from
+from train.policies import SHIPPED, TrainedPolicy, digest, start_from
 from train.runs import (
     INTERRUPTED,
     RunError,
@@ -36,7 +36,7 @@ from train.unseen import Stopped, fly_unseen
 
 @dataclass(frozen=True)
 class Args:
-    """Fly a mission with no training: a finished run again, or a scene by a planner."""
+    """Fly a mission with no training: a scene at once, or a finished run again."""
 
     run: Path | None = None
     """Folder of a finished train.mission run, whose policies fly."""
@@ -46,15 +46,17 @@ class Args:
     """policy: the run's trained policies, or --policy. mpc: model predictive control. reference:
     the whole mission planned ahead in the fewest slots. guidance: the law with no learning."""
     policy: Path | None = None
-    """Policy that flies a scene it has not seen: a policy.safetensors or policy.pt."""
+    """Policy that flies --scene: a policy.safetensors or policy.pt; default: the one shipped."""
     finetune: int = 2_000
     """Updates with which a segment is learned on in which that policy fails; 0 for none."""
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
     """Folder for the results; default: runs/fly/<scene name>-<planner>-seed<N>."""
+    guidance: Path | None = None
+    """Folder of guidance fields: what fits is taken from it, what is missing is built and added."""
     seed: int | None = None
-    """Seed of the random order for --scene; default 0."""
+    """Seed of the random order for --scene and of --finetune; default 0."""
     overwrite: bool = False
     """Start anew in a folder that is not empty."""
     video: bool = True
@@ -71,10 +73,7 @@ def main(argv: list[str] | None = None) -> int:
 def fly_mission(args: Args) -> int:
     """Fly, judge, draw. Raises only before anything is written."""
     if args.run is None and args.scene is None:
-        raise RunError(
-            "give --run DIR of a finished mission, or --scene FILE with --planner mpc, reference "
-            "or guidance"
-        )
+        raise RunError("give --scene FILE to fly it at once, or --run DIR of a finished mission")
     if args.seed is not None and args.seed < 0:
         raise RunError(f"--seed: {args.seed}: must not be negative")
     if args.finetune < 0:
@@ -82,10 +81,7 @@ def fly_mission(args: Args) -> int:
     if args.policy is not None and (args.run is not None or args.planner != "policy"):
         raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
     if args.run is None and args.planner == "policy" and args.policy is None:
-        raise RunError(
-            "--planner: policy: needs --run DIR with trained policies or --policy FILE; train some "
-            "with python -m train.mission, or give --planner mpc, reference or guidance"
-        )
+        args = replace(args, policy=SHIPPED)
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
@@ -109,7 +105,9 @@ def fly_mission(args: Args) -> int:
         "seed": seed,
     }
     folder.check(config, resume=False, overwrite=args.overwrite)
-    course = Course.mission(scene, order)
+    course = Course.mission(scene, order, args.guidance)
+    if args.guidance is not None:
+        course.save_guidance(args.guidance)
     notes: list[str] = []
     if args.policy is not None and policy is not None:
         folder.create(config, scene, overwrite=args.overwrite)

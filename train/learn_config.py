@@ -85,7 +85,7 @@ class LearnConfig:
     """Observation: guided, robust (guided, and what last kept the flight from its command), or
     paper."""
     reward: str = "time"
-    """Reward preset: time or paper."""
+    """Reward preset: time, careful (crashes cost more) or paper."""
 
     def __post_init__(self) -> None:
         """Check what would fail late.

@@ -1,6 +1,8 @@
 """Algorithm 2: order the items, learn every segment, fly them one after another, come home.
 
 python -m train.mission --scene FILE --out DIR --workers 2
+
+Learning goes on from the policy that is shipped; with --from-scratch from nothing, as in the paper.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from train.flight_recorder import fly
 from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import TrainedPolicy, digest, start_from
+from train.policies import SHIPPED, TrainedPolicy, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.processes import warm_up
 from train.runs import (
@@ -84,8 +86,10 @@ class Args:
     """Draw the plots, also each segment's."""
     checkpoint_every: int = 1000
     """Updates between the checkpoints of a segment."""
-    weights: Path | None = None
-    """Policy to start from, a policy.safetensors or policy.pt; default: learn from nothing."""
+    weights: Path | None = SHIPPED
+    """Policy to start from: a policy.safetensors, a policy.pt, or the one shipped."""
+    from_scratch: bool = False
+    """Learn every segment from nothing, as the paper does."""
     preset: PresetName | None = None
     """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
     slot: float | None = None
@@ -104,8 +108,7 @@ def main(argv: list[str] | None = None) -> int:
 def train_mission(args: Args) -> int:
     """Order, learn, fly, judge, draw. Raises only before anything is written."""
     _check(args)
-    if args.weights is not None:
-        args = dataclasses.replace(args, learn=start_from(args.weights, args.learn)[1])
+    args = _begin_from(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
@@ -179,6 +182,23 @@ def _check(args: Args) -> None:
             raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
     if args.ray is not None:
         need_ray()
+    if args.from_scratch and args.weights not in (None, SHIPPED):
+        raise RunError(f"--weights: {args.weights}: excludes --from-scratch; give one of them")
+
+
+def _begin_from(args: Args) -> Args:
+    """With the settings of the policy to start from, or with none."""
+    usual, learn = LearnConfig(), args.learn
+    if args.weights == SHIPPED and not args.from_scratch:
+        for field in ("observation", "width", "residual"):
+            value = getattr(learn, field)
+            if value != getattr(usual, field):
+                say(f"--{field}: {value}: not that of the policy shipped; learning from scratch")
+                args = dataclasses.replace(args, from_scratch=True)
+                break
+    if args.from_scratch or args.weights is None:
+        return dataclasses.replace(args, weights=None)
+    return dataclasses.replace(args, learn=start_from(args.weights, learn)[1])
 
 
 def _segment_folder(folder: RunFolder, index: int) -> RunFolder:
@@ -214,7 +234,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             *learn_arguments(args.learn),
             "--guidance", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
-            *(["--weights", str(args.weights.resolve())] if args.weights else []),
+            *_from_weights(args.weights, attempt),
         ]  # fmt: skip
         return Job(index, tuple(arguments), segment.path)
 
@@ -236,6 +256,13 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
 
         jobs = [found for index in range(len(order) + 1) if (found := job(index))]
         return run_jobs(workers, jobs, retry, tick)
+
+
+def _from_weights(weights: Path | None, attempt: int) -> list[str]:
+    """Arguments of a segment's training; what did not do from the weights is learned anew."""
+    if weights is None or attempt > 0:
+        return []
+    return ["--weights", str(weights if weights == SHIPPED else weights.resolve())]
 
 
 def _perfect(result: dict[str, Any]) -> bool:

@@ -16,11 +16,13 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
+from mjcollect import asset_path
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
 from train.runs import RunError
 
+SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
 # What reading a file that is no policy ends in.
 UNREADABLE = (
     OSError, RuntimeError, ValueError, LookupError, StopIteration, TypeError,
@@ -100,8 +102,13 @@ def _scale(weights: Mapping[str, torch.Tensor]) -> float:
     return next((float(value) for name, value in weights.items() if name.endswith("scale")), 0.0)
 
 
+def weights_file(path: Path) -> Path:
+    """The file of a policy; of the package's own for `SHIPPED`."""
+    return asset_path("policies", "generalist.safetensors") if path == SHIPPED else path
+
+
 def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
-    """The policy in a file, and the settings with which learning goes on from it.
+    """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
 
     Its observation and width are taken over, and no update is made where it is good enough.
 
@@ -109,7 +116,7 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
         RunError: there is no such policy, or `learn` asks for another observation or width.
     """
     try:
-        policy = TrainedPolicy.load(path)
+        policy = TrainedPolicy.load(weights_file(path))
     except UNREADABLE as error:
         raise RunError(
             f"--weights: {path}: holds no policy ({type(error).__name__}); name a "
@@ -127,5 +134,5 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
 
 
 def digest(path: Path) -> str:
-    """What tells one file of weights from another, wherever it lies."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    """What tells one file of weights, or `SHIPPED`, from another, wherever it lies."""
+    return hashlib.sha256(weights_file(path).read_bytes()).hexdigest()[:16]

@@ -70,7 +70,7 @@ class Args:
     guidance: Path | None = None
     """Folder in which a mission has saved its guidance, which else takes seconds to build."""
     weights: Path | None = None
-    """Policy to start from, a policy.safetensors or policy.pt; default: learn from nothing."""
+    """Policy to start from: a policy.safetensors, a policy.pt, or `shipped`; default: none."""
     preset: PresetName | None = None
     """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
     slot: float | None = None

@@ -58,7 +58,7 @@ def arguments_of(
     common = ["--scene", str(scene), "--order", ",".join(map(str, cell.order)), "--no-video"]
     common += [] if keep else ["--no-plots"]
     if cell.planner == "policy":
-        more = ["--seed", str(cell.seed), "--workers", "1", "--resume", *mission]
+        more = ["--seed", str(cell.seed), "--workers", "1", "--resume", "--from-scratch", *mission]
         return "train.mission", (*common, *more)
     return "train.fly", (*common, "--planner", cell.planner, "--overwrite")
 
