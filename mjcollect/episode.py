@@ -152,6 +152,11 @@ class Episodes:
         """Positions (N, 3) as far as they are known: what decisions are made from."""
         return self.truth if self.disturbances is None else self.observed
 
+    @property
+    def boxes(self) -> Array:
+        """Boxes (N, M, 2, 3) as decisions see them, moving ones last; N is 1 where all are one."""
+        return self._noticed.boxes
+
     def course(self, index: int) -> Course:
         """The course of episode `index`."""
         return self.courses[index if len(self.courses) > 1 else 0]

@@ -8,6 +8,7 @@ from mjcollect.course import Course
 from mjcollect.disturbance import Disturbance, Disturbances
 from mjcollect.episode import Rules
 from mjcollect.moving import LEAST_WAY, SIDE, SIGHT, SWING, Movers
+from mjcollect.planners.mpc import Mpc
 from mjcollect.scene import Scene
 
 START, GOAL = np.array([[100.0, 500.0, 500.0]]), np.array([[900.0, 500.0, 500.0]])
@@ -105,3 +106,19 @@ def test_the_law_waits_for_a_slow_one_and_a_blind_flight_does_not(course):
         hits[name] = hit.mean()
     assert hits["blind"] > 0.2
     assert hits["law"] < hits["blind"] / 4
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_the_mpc_keeps_from_a_box_that_it_sees(course, sees):
+    """One that stands in the way, of which the way does not know: it waits there."""
+    sims = flights(course, Disturbance(mover=1e-6), 1)
+    sims.episodes.disturbances.movers._phase[:] = 0.0  # right in the way
+    planner, hit, ended = Mpc(course), False, False
+    while not ended:
+        if sees:
+            planner.see(sims.episodes.boxes[0])
+        outcome = sims.step(planner.action(sims.episodes)[None])
+        hit |= bool(outcome.slot.contact[0])
+        ended = bool(outcome.terminated[0] | outcome.truncated[0])
+    assert hit != sees
+    assert bool(outcome.truncated[0]) == sees

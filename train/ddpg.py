@@ -195,16 +195,21 @@ class Learner(BaseLearner):
             self.kind, self.loss.value_network_params.flatten_keys().values()
         )
 
+    def losses(self, batch: TensorDictBase) -> TensorDictBase:
+        """`loss_value` and `loss_actor` of a batch, the latter with the pull to the law."""
+        losses: TensorDictBase = self.loss(batch)
+        if self.law_pull:
+            correction = self.actor(batch.select("observation"))["correction"]
+            losses["loss_actor"] = losses["loss_actor"] + self.law_pull * correction.square().mean()
+        return losses
+
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""
-        losses = self.loss(batch)
+        losses = self.losses(batch)
         optimizers = (self.critic_optimizer, self.actor_optimizer)
         for optimizer, rate in zip(optimizers, self.rates, strict=True):
             optimizer.param_groups[0]["lr"] = rate
             optimizer.zero_grad(set_to_none=True)
-        if self.law_pull:
-            correction = self.actor(batch.select("observation"))["correction"]
-            losses["loss_actor"] = losses["loss_actor"] + self.law_pull * correction.square().mean()
         # Both gradients before either step: the actor's goes back through the critic, and autograd
         # does not notice that a step has changed the critic's weights under the detached copy.
         losses["loss_value"].backward()

@@ -9,6 +9,7 @@ shortest path. Spare time in the last slot goes into a stop nearer to the next t
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
@@ -102,6 +103,7 @@ class Mpc:
         if horizon < 2:
             raise ValueError(f"horizon: {horizon}: must be at least 2 slots")
         self._course, self._horizon, self._look_past = course, horizon, look_past
+        self._scene = course.scene
         self._world = World.stack([course.scene])
         scene = course.scene
         if body is not None:
@@ -127,6 +129,13 @@ class Mpc:
             "rules of flight."
         )
 
+    def see(self, boxes: Array) -> None:
+        """Plan from now on round the boxes (B, 2, 3), as if all of them stood still."""
+        self._scene, self._program.scene = (
+            _among(scene, boxes) for scene in (self._scene, self._program.scene)
+        )
+        self._world = self._world._replace(boxes=boxes[None])
+
     def action(self, episodes: Episodes) -> Array:
         """Action (3,) in units of a_max, |action| <= 1, for the only episode of `episodes`."""
         q, v, target = episodes.q[0], episodes.v[0], int(episodes.target[0])
@@ -134,7 +143,7 @@ class Mpc:
         if plan is None:
             self.counts["law"] += 1
             return np.asarray(episodes.guidance_action()[0])
-        return np.asarray(plan.a[0] / self._course.scene.a_max)
+        return np.asarray(plan.a[0] / self._scene.a_max)
 
     def plan(self, q: Array, v: Array, target: int) -> Plan | None:
         """The plan from a state (3,) m, (3,) m/s to target number `target` of the course.
@@ -205,7 +214,7 @@ class Mpc:
             if elastic:
                 continue
             arrives = arrive or np.linalg.norm(path[-1] - leg.centre) <= leg.radius
-            plan = Plan(solution.q, solution.v, self._course.scene.slot, bool(arrives))
+            plan = Plan(solution.q, solution.v, self._scene.slot, bool(arrives))
             if not is_flyable(self._world, plan):
                 self.counts["refused"] += 1
                 continue
@@ -220,7 +229,7 @@ class Mpc:
 
         One out of sight would pull the plan against the box between them and hold it there.
         """
-        scene = self._course.scene
+        scene = self._scene
         there = _along(way, end) + LEAD
         point = point_along(way, there)
         if segment_clear(end, point, scene.obstacles, scene.uav_radius):
@@ -250,7 +259,7 @@ class Mpc:
 
     def _slots(self, distance: float, direction: Array, v: Array, tolerance: float) -> int:
         """Least slots to rest within `tolerance` of a point `distance` metres away on a line."""
-        scene = self._course.scene
+        scene = self._scene
         closing = float(v @ direction) / max(float(np.linalg.norm(direction)), 1e-9)
         braking = max(closing, 0.0) ** 2 / (2 * scene.a_max)
         # Full braking may well end beyond the near side of the ball.
@@ -260,7 +269,7 @@ class Mpc:
 
     def _way(self, q: Array, path: Array) -> Array:
         """From `q` (3,) straight to the farthest point of `path` (P, 3) in sight, then along it."""
-        scene = self._course.scene
+        scene = self._scene
         if segment_clear(q, path[-1], scene.obstacles, scene.uav_radius):
             return np.stack([q, path[-1]])
         corners = marks(path)
@@ -274,7 +283,7 @@ class Mpc:
 
     def _guess(self, leg: _Leg, slots: int) -> Array:
         """Positions (slots + 1, 3) of a gentle motion from rest to rest along the way."""
-        scene = self._course.scene
+        scene = self._scene
         push, time = FIRST_SHARE * scene.a_max, slots * scene.slot
         ramp = min(time / 2, scene.v_max / push)
         t = np.arange(slots + 1) * scene.slot
@@ -282,6 +291,13 @@ class Mpc:
         covered = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * scene.slot)])
         length = path_length(leg.way)
         return point_along(leg.way, covered * min(1.0, length / max(covered[-1], 1e-9)))
+
+
+def _among(scene: Scene, boxes: Array) -> Scene:
+    """The scene with other obstacles, without the checks of a file: a box may pass an item."""
+    other = copy.copy(scene)
+    object.__setattr__(other, "obstacles", boxes)
+    return other
 
 
 def _along(path: Array, point: Array) -> float:

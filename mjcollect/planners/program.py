@@ -52,6 +52,7 @@ class Program:
     method has no use for an old solution.
 
     Attributes:
+        scene: whose limits and boxes hold.
         statuses: how often Clarabel ended in which status.
     """
 
@@ -61,7 +62,7 @@ class Program:
         Args:
             walls: metres to keep from the bounds, but for a start and an end beside them.
         """
-        self._scene, self._walls = scene, walls
+        self.scene, self._walls = scene, walls
         self._settings = settings()
         self.statuses: Counter[str] = Counter()
 
@@ -110,7 +111,7 @@ class Program:
 
     def _dynamics(self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
         """q_{k+1} = q_k + slot v_k + a_k slot^2 (n + 1) / (2 n), a_k = (v_{k+1} - v_k) / slot."""
-        scene = self._scene
+        scene = self.scene
         share = (scene.substeps + 1) / (2 * scene.substeps)
         rows.add(
             np.zeros(at_q[1:].size),
@@ -133,7 +134,7 @@ class Program:
         Within a slot the motion is a parabola, which strays from the straight piece between its
         ends by up to a_max slot^2 / 8.
         """
-        scene = self._scene
+        scene = self.scene
         planes = separate(path, scene.obstacles)
         piece, normal = planes.piece, planes.normal
         least = np.full(len(piece), scene.uav_radius + scene.a_max * scene.slot**2 / 8 + HAIR)
@@ -162,7 +163,7 @@ class Program:
         A slot's parabola lies in the triangle of its ends and the point where its tangents meet:
         q_k + slot / 2 (v_k + a_k step / 2), step / 2 for the semi-implicit shift.
         """
-        scene = self._scene
+        scene = self.scene
         lag = scene.physics_step / 4
         for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
             piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT)
@@ -185,7 +186,7 @@ class Program:
         end: Array | None,
     ) -> Array:
         """Metres to keep from a wall at the ends of pieces: less where start or end are near it."""
-        scene = self._scene
+        scene = self.scene
         pace = WALL_SHARE * scene.a_max * scene.slot**2 / 2
         clear = np.full(len(piece), self._walls)
         np.minimum(clear, np.abs(path[0] - wall)[axis] + pace * (piece + 1) ** 2, out=clear)
@@ -196,7 +197,7 @@ class Program:
 
     def _limits(self, rows: Rows, at_v: NDArray[np.intp]) -> None:
         """|v_{k+1} - v_k| <= a_max slot in every slot, |v_k| <= v_max at inner slot starts."""
-        scene = self._scene
+        scene = self.scene
         norms(rows, scene.a_max * scene.slot * (1 - SHORT), (at_v[1:], 1.0), (at_v[:-1], -1.0))
         norms(rows, scene.v_max * (1 - SHORT), (at_v[1:-1], 1.0))
 
@@ -215,7 +216,7 @@ class Program:
         row, column, value = row[~known], place[column[~known]], value[~known]
         matrix = sparse.csc_matrix((value, (row, column)), shape=(len(right), len(free)))
         # Effort: sum of |v_{k+1} - v_k|^2 / slot^2; of the fixed ends only v_0 is not zero.
-        weight = 2 * EFFORT_COST / self._scene.slot**2
+        weight = 2 * EFFORT_COST / self.scene.slot**2
         inner = place[at_v[1:-1]]
         cost = cost[free]
         cost[inner[0]] -= weight * fixed[at_v[0]]

@@ -115,7 +115,7 @@ class TourProgram(Program):
         self, rows: Rows, at_v: NDArray[np.intp], paths: Sequence[Array], ends: NDArray[np.intp]
     ) -> None:
         """Two slots before a stop, too fast for the rule of collection to stop the body there."""
-        fast = self._scene.a_max * self._scene.slot * (1 + LATE)
+        fast = self.scene.a_max * self.scene.slot * (1 + LATE)
         for leg, end in zip(paths, ends, strict=True):
             if len(leg) < 4:
                 continue
