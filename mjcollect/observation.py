@@ -124,8 +124,8 @@ def robust(world: World, state: State) -> Parts:
     law = parts.pop("guide_action")
     return {
         **parts,
-        "mover": state.mover,
         "command": state.commanded / world.a_max,
+        "mover": state.mover,
         "drift": state.drift / world.a_max,
         "gain": state.gain,
         "push": state.push,
@@ -136,3 +136,4 @@ def robust(world: World, state: State) -> Parts:
 OBSERVATIONS = {"guided": guided, "paper": paper, "robust": robust}
 WITH_LAW = ("guided", "robust")  # end with an action that the policy can correct
 ADAPTIVE = ("robust",)  # that action adapts to disturbances
+SIGNS = slice(-16, -3)  # where an adaptive observation shows them: mover, drift, gain, push

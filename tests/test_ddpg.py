@@ -5,7 +5,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from train.ddpg import make_buffer, sample
+from train.ddpg import QUIET, make_buffer, sample
 from train.lean import LEARNERS
 from train.norm_relu import norm_relu_backward, torch_backward
 
@@ -103,9 +103,18 @@ def test_lean_update_is_torchrls_in_double_precision(double, steps):
     check_lean_is_torchrl(SIZE, 20, 1e-10, steps, alpha_actor=1e-2, alpha_critic=1e-2)
 
 
-@pytest.mark.parametrize("pull", [0.0, 0.3])
-def test_lean_update_of_a_correction_is_torchrls(double, pull):
-    check_lean_is_torchrl(SIZE, 20, 1e-10, False, residual=0.5, law_pull=pull, alpha_actor=1e-2)
+@pytest.mark.parametrize(("pull", "signs"), [(0.0, None), (0.3, None), (0.3, slice(-6, -3))])
+def test_lean_update_of_a_correction_is_torchrls(double, pull, signs):
+    changes = {"residual": 0.5, "law_pull": pull, "signs": signs, "alpha_actor": 1e-2}
+    check_lean_is_torchrl(SIZE, 20, 1e-10, False, **changes)
+
+
+def test_the_pull_falls_where_disturbances_are_seen():
+    learner = make("lean", residual=0.5, law_pull=0.4, signs=slice(-6, -3))
+    observation = torch.zeros(3, SIZE)
+    observation[1, -5], observation[2, -6] = QUIET, 1.0
+    pull = learner.pull(observation)[:, 0]
+    close(pull, torch.tensor([0.4, 0.2, 0.4 * QUIET / (QUIET + 1.0)]), 1e-6)
 
 
 def test_the_pull_alone_brings_the_actor_to_the_law():

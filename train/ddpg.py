@@ -18,6 +18,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, TanhModule, ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
+QUIET = 0.02  # size of the signs of a disturbance at which the pull to the law is half as strong
 # What a transition {S, A, R, S', D'} is stored as.
 KEYS = (
     "observation",
@@ -127,6 +128,7 @@ class BaseLearner:
         optimizer: str = "adam",
         residual: float = 0.0,
         law_pull: float = 0.0,
+        signs: slice | None = None,
         actor_delay: int = 0,
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
@@ -134,12 +136,14 @@ class BaseLearner:
         """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs.
 
         Args:
+            law_pull: weight of the mean square correction in the actor's loss. signs: columns of
+                an observation that show disturbances, where it falls.
             weights: state of an actor of this size to start from.
         """
         self.device = device
         self.kind = optimizer
         self.residual, self._delay = residual, actor_delay
-        self.law_pull = law_pull if residual else 0.0
+        self.law_pull, self._signs = law_pull if residual else 0.0, signs
         self.actor = make_actor(observation_size, width, residual).to(device)
         if weights is not None:
             self.actor.load_state_dict(weights)
@@ -156,6 +160,13 @@ class BaseLearner:
         share = min(self.updates / max(self._total, 1), 1.0)
         factor = 1.0 + (self._final_rate - 1.0) * share
         return self._rates[0] * factor, self._rates[1] * factor * (self.updates >= self._delay)
+
+    def pull(self, observation: torch.Tensor) -> torch.Tensor:
+        """Weight (n, 1) of the square correction at observations (n, D)."""
+        if self._signs is None:
+            return torch.full_like(observation[:, :1], self.law_pull)
+        seen = observation[:, self._signs].norm(dim=1, keepdim=True)
+        return self.law_pull * QUIET / (QUIET + seen)
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""
@@ -200,7 +211,8 @@ class Learner(BaseLearner):
         losses: TensorDictBase = self.loss(batch)
         if self.law_pull:
             correction = self.actor(batch.select("observation"))["correction"]
-            losses["loss_actor"] = losses["loss_actor"] + self.law_pull * correction.square().mean()
+            pull = self.pull(batch["observation"]) * correction.square()
+            losses["loss_actor"] = losses["loss_actor"] + pull.mean()
         return losses
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:

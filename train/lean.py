@@ -179,11 +179,12 @@ class LeanLearner(BaseLearner):
         if self.residual:
             d *= self.residual
         if self.law_pull:
-            d += output * slope * (2 * self.law_pull / output.numel())
+            pull = self.pull(s) * output
+            d += pull * slope * (2 / output.numel())
         backward(self._actor, self._gradients[1], actor_records, d, n)
         actor_loss = -q[n:].mean()
         if self.law_pull:
-            actor_loss = actor_loss + self.law_pull * output.square().mean()
+            actor_loss = actor_loss + (pull * output).mean()
         return error.square().mean(), actor_loss
 
     def _add_prior(self, s: Tensor, output: Tensor) -> Tensor:

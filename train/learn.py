@@ -16,7 +16,7 @@ from mjcollect.batch import BatchedFlightEnv, Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import Disturbances
 from mjcollect.episode import SAVED, Rules
-from mjcollect.observation import WITH_LAW
+from mjcollect.observation import ADAPTIVE, SIGNS, WITH_LAW
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
 from train.lean import LEARNERS
@@ -74,6 +74,7 @@ class Trainer:
             total_updates=config.updates,
             residual=residual,
             law_pull=config.law_pull,
+            signs=SIGNS if config.observation in ADAPTIVE else None,
             actor_delay=config.actor_delay,
             device=device,
             weights=weights,

@@ -45,7 +45,8 @@ class LearnConfig:
     hard_gap: float = 1.0
     """Seconds that the law needs beyond the least time, on average, in a hard segment."""
     law_pull: float = 0.0
-    """Weight of the mean square correction, as a share of the greatest, in the actor's loss."""
+    """Weight of the mean square correction, as a share of the greatest, in the actor's loss; with
+    the observation `robust` it falls where a disturbance is seen."""
     optimizer: Literal["adam", "sgd"] = "adam"
     """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
     actor_delay: int = 300
