@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -21,7 +22,7 @@ from torchrl.envs import EnvBase
 
 from mjcollect.course import Course, StartKind
 from mjcollect.disturbance import Disturbances
-from mjcollect.episode import Episodes, Outcome, Rules
+from mjcollect.episode import SAVED, Episodes, Outcome, Rules
 from mjcollect.flight import Bools
 from mjcollect.geometry import Array
 from mjcollect.mjcf import build, compile_model
@@ -31,6 +32,21 @@ from mjcollect.scene import Scene
 Indices = NDArray[np.intp]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 FLAGS = ("done", "terminated", "truncated", "success", "crashed")
+
+
+class Fleet(Protocol):
+    """N simulations, see `Simulations`, wherever they are."""
+
+    count: int
+
+    def reset(self, chosen: Indices | None = None) -> None: ...  # noqa: D102
+    def step(self, action: Array) -> Outcome: ...  # noqa: D102
+    def observe(self, chosen: Indices | None = None) -> Array: ...  # noqa: D102
+    def law(self) -> Array: ...  # noqa: D102
+    def seed(self, seed: int | None) -> None: ...  # noqa: D102
+    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
 
 
 class Simulations:
@@ -80,6 +96,8 @@ class Simulations:
     def reset(self, chosen: Indices | None = None) -> None:
         """Draw new starts for the simulations `chosen` (indices; None for all)."""
         which = np.arange(self.count) if chosen is None else chosen
+        if len(which) == 0:
+            return
         if len(self.episodes.courses) == 1:
             q, v = self.episodes.courses[0].starts(self.start, len(which), self.rng)
         else:
@@ -102,6 +120,33 @@ class Simulations:
             flown = disturbances.controls(self.episodes.world, self.acceleration)
         self.roll(flown)
         return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
+
+    def law(self) -> Array:
+        """Actions (N, 3) of the guidance law."""
+        return self.episodes.guidance_action()
+
+    def seed(self, seed: int | None) -> None:
+        """Draw the next starts from this seed."""
+        self.rng = np.random.default_rng(seed)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but courses and settings."""
+        episodes = self.episodes
+        disturbances = episodes.disturbances
+        return {
+            "rng": self.rng.bit_generator.state,
+            "simulations": torch.from_numpy(self.state.copy()),
+            "episodes": {name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED},
+            "disturbances": None if disturbances is None else disturbances.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to a state of `state_dict`."""
+        self.rng.bit_generator.state = state["rng"]
+        self.state = state["simulations"].numpy().copy()
+        if self.episodes.disturbances is not None:
+            self.episodes.disturbances.load_state_dict(state["disturbances"])
+        self.episodes.load({name: v.numpy().copy() for name, v in state["episodes"].items()})
 
     def roll(self, acceleration: Array) -> None:
         """Let MuJoCo fly one slot with accelerations in m/s^2; no rules of flight.
@@ -161,7 +206,7 @@ class BatchedFlightEnv(EnvBase):
     along with each step.
     """
 
-    def __init__(self, simulations: Simulations, device: str = "cpu") -> None:
+    def __init__(self, simulations: Fleet, device: str = "cpu") -> None:
         """Wrap `simulations`."""
         n = simulations.count
         super().__init__(device=device, batch_size=torch.Size([n]))
@@ -232,7 +277,7 @@ class BatchedFlightEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        self.simulations.rng = np.random.default_rng(seed)
+        self.simulations.seed(seed)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop MuJoCo's threads."""

@@ -1,5 +1,6 @@
 """`python -m train.generalist` with tiny budgets, and the pool of segments it learns on."""
 
+import contextlib
 import json
 
 import numpy as np
@@ -88,6 +89,36 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
         assert (out / name).read_bytes() == (finished / name).read_bytes(), name
 
 
+def test_learns_with_shards_and_goes_on_after_a_stop(finished, tmp_path, monkeypatch):
+    """Two processes that simulate; stopped in the middle, the same policy comes out."""
+    more = [*TINY, "--shards", "2", "--updates", "32", "--least-updates", "32", "--eval-every", "8"]
+    built = generalist._build(RunFolder(finished), args_of(tmp_path))
+
+    def link(folder, args):
+        if not (folder.path / "pool").exists():
+            (folder.path / "pool").symlink_to(finished / "pool")
+        return built
+
+    monkeypatch.setattr(generalist, "_build", link)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert generalist.main(["--out", str(whole), *more]) == 0
+    run = generalist.Trainer.run
+
+    def cut(trainer):
+        for updates in run(trainer):
+            yield updates
+            if updates == 20:  # after the checkpoint at 16
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(generalist.Trainer, "run", cut)
+    with contextlib.suppress(KeyboardInterrupt):
+        generalist.main(["--out", str(parts), *more])
+    monkeypatch.setattr(generalist.Trainer, "run", run)
+    assert generalist.main(["--out", str(parts), *more, "--resume"]) == 0
+    for name in ("metrics.csv", "policy.safetensors"):
+        assert (whole / name).read_bytes() == (parts / name).read_bytes(), name
+
+
 def args_of(out):
     import tyro
 
@@ -129,6 +160,8 @@ def test_segments_are_of_all_kinds():
         (["--held-out", "0"], "--held-out: 0"),
         (["--observation", "paper"], "--observation: paper"),
         (["--wind", "-2"], "wind: -2.0"),
+        (["--shards", "-1"], "--shards: -1"),
+        (["--ray", "local"], "--ray: needs --shards"),
     ],
 )
 def test_bad_settings_are_refused_before_anything_is_written(arguments, named, tmp_path, capsys):

@@ -3,15 +3,18 @@
 python -m train.generalist --out DIR
 
 The same DDPG as a segment's. Every simulation has obstacles of its own; every `--rotate` updates
-other segments of the pool are flown. Evaluated on segments that are never trained on.
+other segments of the pool are flown. Evaluated on segments that are never trained on. With more
+cores, `--shards` simulate beside each other, here or with `--ray` on a cluster; with a GPU,
+`--device cuda` learns there.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +22,7 @@ import numpy as np
 import torch
 import tyro
 
-from mjcollect.batch import Simulations
+from mjcollect.batch import Fleet, Simulations
 from mjcollect.disturbance import Disturbance, Disturbances
 from mjcollect.observation import WITH_LAW
 from train.evaluation import Evaluator, stream
@@ -38,6 +41,8 @@ from train.runs import (
     stop_on_ctrl_c,
     versions,
 )
+from train.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
+from train.workers import connect_ray, need_ray
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
@@ -66,6 +71,10 @@ class Args:
     """Segments trained on, each of a generated scene of its own."""
     held_out: int = 100
     """Segments of further scenes that policies are compared on."""
+    shards: int = 0
+    """Processes that simulate, in lock-step with the learner; 0: the learner's own."""
+    ray: str | None = None
+    """Address of a Ray cluster on which the shards run instead: host:port, auto, or local."""
     courses: int = 64
     """Segments flown side by side, each in several simulations."""
     rotate: int = 2_000
@@ -96,6 +105,9 @@ class Generalist:
         """
         self.args, self._pool = args, pool
         self._numbers, held_out = numbers
+        self._crew: Crew | None = None
+        if args.shards > 0:
+            self._crew = LocalCrew(args.shards) if args.ray is None else RayCrew(args.shards)
         config, seed = args.learn, args.seed
         courses = [draw_leg(seed, number).course(pool) for number in held_out]
         # Calm from the point itself, disturbed from elsewhere in its ball.
@@ -108,16 +120,16 @@ class Generalist:
             self._simulations(), evaluator, config, seed, config.residual, args.device
         )
 
-    def _simulations(self) -> Simulations:
+    def _simulations(self) -> Fleet:
         """Simulations on this rotation's segments."""
-        args, config = self.args, self.args.learn
-        rng = np.random.default_rng(stream(args.seed, f"rotation {self.rotation}"))
-        numbers = rng.choice(self._numbers, min(args.courses, len(self._numbers)), replace=False)
-        legs = [draw_leg(args.seed, int(number)).course(self._pool) for number in numbers]
-        calm = rng.permutation(config.envs) >= round(args.disturbed * config.envs)
-        disturbances = Disturbances(args.disturbance, config.envs, rng, vary=True, calm=calm)
-        courses = [legs[i % len(legs)] for i in range(config.envs)]
-        return make_simulations(courses, config, int(rng.integers(2**62)), disturbances)
+        if self._crew is None:
+            return simulations(self.args, self._numbers, self._pool, self.rotation)
+        parts = range(self.args.shards)
+        makes = [
+            partial(simulations, self.args, self._numbers, self._pool, self.rotation, part)
+            for part in parts
+        ]
+        return ShardedSimulations(self._crew, makes, [_envs(self.args, part) for part in parts])
 
     def rotate(self) -> None:
         """Change the segments if it is time."""
@@ -137,6 +149,37 @@ class Generalist:
         self._turn_to(state["rotation"])
         self.trainer.load_state_dict(state["trainer"])
 
+    def close(self) -> None:
+        """Stop all processes and threads."""
+        self.trainer.close()
+        if self._crew is not None:
+            self._crew.close()
+
+
+def _envs(args: Args, part: int) -> int:
+    """Simulations of a shard."""
+    return len(range(part, args.learn.envs, max(args.shards, 1)))
+
+
+def simulations(
+    args: Args, numbers: Sequence[int], pool: Path, rotation: int, part: int = 0
+) -> Simulations:
+    """What is flown in a rotation, or a shard of it, each on courses of its own drawing.
+
+    Args:
+        numbers: of the pool's segments. pool: folder of their guidance; a missing one is built.
+    """
+    shards, envs = max(args.shards, 1), _envs(args, part)
+    name = f"rotation {rotation}" + (f" shard {part}" if args.shards else "")
+    rng = np.random.default_rng(stream(args.seed, name))
+    drawn = rng.choice(numbers, min(-(-args.courses // shards), len(numbers)), replace=False)
+    legs = [draw_leg(args.seed, int(number)).course(pool) for number in drawn]
+    calm = rng.permutation(envs) >= round(args.disturbed * envs)
+    disturbances = Disturbances(args.disturbance, envs, rng, vary=True, calm=calm)
+    courses = [legs[i % len(legs)] for i in range(envs)]
+    learn = dataclasses.replace(args.learn, envs=envs)
+    return make_simulations(courses, learn, int(rng.integers(2**62)), disturbances)
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the program; the exit code of the contract."""
@@ -147,7 +190,7 @@ def train_generalist(args: Args) -> int:
     """Build the pool, learn, save. Raises only before anything is written."""
     _check(args)
     config = {"program": "train.generalist", **dataclasses.asdict(args)}
-    for field in ("out", "resume", "overwrite", "workers", "checkpoint_every"):
+    for field in ("out", "resume", "overwrite", "workers", "ray", "checkpoint_every"):
         del config[field]
     folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
@@ -159,7 +202,9 @@ def train_generalist(args: Args) -> int:
         if numbers is None:
             say("stopped; go on with --resume")
             return INTERRUPTED
-        generalist = Generalist(args, numbers, folder.path / "pool")
+        if args.ray is not None:
+            connect_ray(args.ray)
+        generalist = Generalist(args, numbers, (folder.path / "pool").resolve())
         try:
             if not _learn(generalist, folder, args):
                 updates = generalist.trainer.learner.updates
@@ -167,7 +212,7 @@ def train_generalist(args: Args) -> int:
                 return INTERRUPTED
             _finish(generalist.trainer, folder, numbers)
         finally:
-            generalist.trainer.close()
+            generalist.close()
     finally:
         folder.unlock()
     return _report(folder)
@@ -189,6 +234,12 @@ def _check(args: Args) -> None:
         if getattr(args, field) < 1:
             name = field.replace("_", "-")
             raise RunError(f"--{name}: {getattr(args, field)}: must be at least 1")
+    if not 0 <= args.shards <= args.learn.envs:
+        raise RunError(f"--shards: {args.shards}: must lie between 0 and --envs {args.learn.envs}")
+    if args.ray is not None:
+        need_ray()
+        if args.shards < 1:
+            raise RunError("--ray: needs --shards N, the number of actors that simulate")
     if args.learn.observation not in WITH_LAW:
         raise RunError(
             f"--observation: {args.learn.observation}: its size depends on the scene; use "

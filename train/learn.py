@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from mjcollect.batch import BatchedFlightEnv, Simulations
+from mjcollect.batch import BatchedFlightEnv, Fleet, Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import Disturbances
-from mjcollect.episode import SAVED, Rules
+from mjcollect.episode import Rules
 from mjcollect.observation import ADAPTIVE, SIGNS, WITH_LAW
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
@@ -41,7 +41,7 @@ class Trainer:
 
     def __init__(
         self,
-        simulations: Simulations,
+        simulations: Fleet,
         evaluator: Evaluator,
         config: LearnConfig,
         seed: int,
@@ -96,7 +96,7 @@ class Trainer:
         self._losses: list[torch.Tensor] = []
         self._now = self.env.reset()
 
-    def move(self, simulations: Simulations) -> None:
+    def move(self, simulations: Fleet) -> None:
         """Go on learning in other simulations, at the start of their episodes."""
         self.env.close()
         self.env = BatchedFlightEnv(simulations, device=self.device)
@@ -141,7 +141,7 @@ class Trainer:
     def _operate(self, guided: torch.Tensor) -> None:
         """One environment operation in every simulation, stored in the buffer."""
         if guided.any():
-            law = torch.from_numpy(self.env.simulations.episodes.guidance_action()).float()
+            law = torch.from_numpy(self.env.simulations.law()).float()
         if guided.all():
             step, action = self._now.copy(), law
         else:
@@ -214,20 +214,12 @@ class Trainer:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the buffer's content and the settings."""
-        episodes = self.env.simulations.episodes
         return {
             "learner": self.learner.state_dict(),
             "env_steps": self.env_steps,
             "episodes": self.episodes,
             "noise": self.noise.get_state(),
-            "start_rng": self.env.simulations.rng.bit_generator.state,
-            "simulations": torch.from_numpy(self.env.simulations.state.copy()),
-            "episode_state": {
-                name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED
-            },
-            "disturbances": None
-            if episodes.disturbances is None
-            else episodes.disturbances.state_dict(),
+            "simulations": self.env.simulations.state_dict(),
             "now": self._now.to_dict(),
             "returns": self._returns.clone(),
             "recent": list(self._recent),
@@ -245,14 +237,7 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self.noise.set_state(state["noise"])
-        sims = self.env.simulations
-        sims.rng.bit_generator.state = state["start_rng"]
-        sims.state = state["simulations"].numpy().copy()
-        sims.episodes.load(
-            {name: value.numpy().copy() for name, value in state["episode_state"].items()}
-        )
-        if sims.episodes.disturbances is not None:
-            sims.episodes.disturbances.load_state_dict(state["disturbances"])
+        self.env.simulations.load_state_dict(state["simulations"])
         self._now = TensorDict(state["now"], batch_size=self.env.batch_size, device=self.device)
         self._returns = state["returns"].clone()
         self._recent.clear()

@@ -31,13 +31,16 @@ def warm_up() -> None:
 
 
 def importing_pool(workers: int) -> ProcessPoolExecutor:
-    """A pool of `workers` processes that import for themselves and leave Ctrl-C to this one."""
+    """A pool of `workers` processes that import for themselves, leave Ctrl-C to this one, and end
+    with it, even with SIGKILL.
+    """
     context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_ctrl_c)
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_settle)
 
 
-def _leave_ctrl_c() -> None:
+def _settle() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 class Program:
