@@ -15,7 +15,7 @@ import contextlib
 import json
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from mjcollect.guidance import GuidanceError
 from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.reference import NoFlight, Reference
 from train.generalist import DISTURBANCE, HELD_OUT
-from train.policies import SHIPPED, TrainedPolicy, weights_file
+from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
 from train.pool import draw_leg
 from train.processes import importing_pool
 
@@ -54,7 +54,9 @@ LEVELS: dict[str, tuple[float, ...]] = {
 UNITS = {"wind": "m/s²", "gusts": "m/s², standard deviation", "gain": "share", "delay": "s",
          "noise": "m, standard deviation", "mover": "m/s",
          "all": "share of the greatest"}  # fmt: skip
-COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference, open loop": RED}
+COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference": RED,
+           "policy": GREEN}  # fmt: skip
+LEGEND = {"mpc": "MPC", "reference": "reference, open loop"}
 FIRST = HELD_OUT + 10_000  # no policy was chosen by these segments either
 Pilot = Callable[[Simulations], np.ndarray]
 
@@ -63,18 +65,18 @@ Pilot = Callable[[Simulations], np.ndarray]
 class Args:
     """Fly every pilot through every disturbance."""
 
-    policies: tuple[Path, ...] = (SHIPPED,)
-    """Files of policies that fly."""
-    segments: int = 40
+    pilots: tuple[str, ...] = ("reference", "law", "adaptive law", "mpc", "policy")
+    """Who flies: any of these, of which `policy` is the one shipped, and files of others."""
+    segments: int = 24
     """Segments, each of a generated scene of its own."""
     draws: int = 8
-    """Flights on each segment at each level; of the slower MPC a quarter."""
+    """Flights on each segment at each level; of the slower MPC an eighth."""
     seed: int = 0
     """Seed of scenes and disturbances."""
     workers: int = 2
     """Processes."""
     out: Path | None = None
-    """JSON file for the results."""
+    """JSON file for the results; pilots that it already holds do not fly again."""
     figure: Path | None = None
     """PNG file for the curves."""
 
@@ -140,45 +142,34 @@ def disturbance(kind: str, value: float) -> Disturbance:
 
 
 def flights(
-    course: Course, number: int, args: Args, policies: dict[str, TrainedPolicy]
+    course: Course, number: int, args: Args, pilots: dict[str, tuple[str, Callable[[], Pilot]]]
 ) -> list[dict[str, Any]]:
-    """Every pilot through every level on one segment."""
-    rows = []
-    commands = None
-    with contextlib.suppress(NoFlight):
-        commands = Reference(course).plan()
-    frm, to = course.nodes
-    detour = detour_bound(course.scene, frm, to, course.guidance[0].length)
-    for kind, levels in LEVELS.items():
-        for value in levels:
-            level = disturbance(kind, value)
-
-            def one(
-                name: str, pilot: Pilot, draws: range, observation: str = "guided",
-                level: Disturbance = level, kind: str = kind, value: float = value,
-            ) -> None:  # fmt: skip
-                rng = np.random.default_rng(
-                    [args.seed, number, list(LEVELS).index(kind), draws.start]
-                )
-                success, contact, seconds = fly(course, pilot, level, len(draws), rng, observation)
-                rows.append(
-                    {
-                        "pilot": name, "kind": kind, "level": value, "segment": number,
-                        "flights": len(draws), "success": int(success.sum()),
-                        "contacts": int(contact.sum()),
-                        "times": (seconds[success] / detour).round(4).tolist(),
-                    }
-                )  # fmt: skip
-
-            everyone, few = range(args.draws), range(max(args.draws // 4, 1))
-            one("law", law, everyone)
-            one("adaptive law", law, everyone, "robust")
-            for name, policy in policies.items():
-                one(name, learned(policy), everyone, policy.observation)
-            for draw in few:
-                one("mpc", mpc(course), range(draw, draw + 1))
-            if commands is not None:
-                one("reference, open loop", planned(commands), everyone)
+    """Every one of `pilots`, observation and maker, through every level on one segment."""
+    rows: list[dict[str, Any]] = []
+    detour = detour_bound(course.scene, *course.nodes, course.guidance[0].length)
+    for name, (observation, make) in pilots.items():
+        calm = None
+        # The MPC is slow and holds a plan of its own: few flights, one by one.
+        groups = [[k] for k in range(max(args.draws // 8, 1))] if name == "mpc" else []
+        for index, (kind, levels) in enumerate(LEVELS.items()):
+            for value in levels:
+                row = {"pilot": name, "kind": kind, "level": value, "segment": number}
+                if value == 0.0 and calm is not None:
+                    rows.append(calm | row)
+                    continue
+                results = []
+                for group in groups or [range(args.draws)]:
+                    rng = np.random.default_rng([args.seed, number, index, group[0]])
+                    level = disturbance(kind, value)
+                    results.append(fly(course, make(), level, len(group), rng, observation))
+                success, contact, seconds = (np.concatenate(part) for part in zip(*results))
+                row |= {
+                    "flights": len(success), "success": int(success.sum()),
+                    "contacts": int(contact.sum()),
+                    "times": (seconds[success] / detour).round(4).tolist(),
+                }  # fmt: skip
+                calm = row if value == 0.0 else calm
+                rows.append(row)
     return rows
 
 
@@ -206,13 +197,18 @@ def draw(path: Path, found: list[dict[str, Any]]) -> None:
     made = figure(3.2 * len(LEVELS), 6.6)
     axes: Any = made.subplots(2, len(LEVELS), sharey="row")
     names = list(dict.fromkeys(row["pilot"] for row in found))
-    spare = iter((GREEN, BLACK, "#56B4E9", "#F0E442"))
+    spare = iter((BLACK, "#56B4E9", "#F0E442"))
     for name in names:
         colour = COLOURS.get(name) or next(spare)
         for column, kind in enumerate(LEVELS):
             these = [row for row in found if row["pilot"] == name and row["kind"] == kind]
             x = [row["level"] for row in these]
-            style = {"color": colour, "marker": "o", "markersize": 3.5, "label": name}
+            style = {
+                "color": colour,
+                "marker": "o",
+                "markersize": 3.5,
+                "label": LEGEND.get(name, name),
+            }
             axes[0, column].plot(x, [row["success_rate"] for row in these], **style)
             axes[1, column].plot(x, [row["time"] for row in these], **style)
     for column, kind in enumerate(LEVELS):
@@ -229,29 +225,44 @@ def draw(path: Path, found: list[dict[str, Any]]) -> None:
     save_figure(made, path)
 
 
-def one_segment(args: Args, number: int) -> list[dict[str, Any]]:
+def one_segment(args: Args, names: Sequence[str], number: int) -> list[dict[str, Any]]:
     """Every flight on one segment; none where the guidance finds no way."""
     torch.set_num_threads(1)
     leg = draw_leg(args.seed, number)
-    policies = {
-        "policy" if path == SHIPPED else path.stem: TrainedPolicy.load(weights_file(path))
-        for path in args.policies
-    }
     with tempfile.TemporaryDirectory() as nowhere, contextlib.suppress(GuidanceError):
-        return flights(leg.course(Path(nowhere)), number, args, policies)
+        course = leg.course(Path(nowhere))
+        pilots: dict[str, tuple[str, Callable[[], Pilot]]] = {}
+        for name in names:
+            if name in ("law", "adaptive law"):
+                pilots[name] = ("guided" if name == "law" else "robust", lambda: law)
+            elif name == "mpc":
+                pilots[name] = ("guided", lambda: mpc(course))
+            elif name == "reference":
+                with contextlib.suppress(NoFlight):
+                    commands = Reference(course).plan()
+                    pilots[name] = ("guided", lambda commands=commands: planned(commands))
+            else:
+                file = SHIPPED if name == "policy" else Path(name)
+                policy = TrainedPolicy.load(weights_file(file))
+                pilots[name] = (policy.observation, lambda policy=policy: learned(policy))
+        return flights(course, number, args, pilots)
     return []
 
 
 def main(args: Args) -> int:
     """Fly, count, draw."""
+    rows: list[dict[str, Any]] = []
+    if args.out is not None and args.out.is_file():
+        rows = json.loads(args.out.read_text())["flights"]
+    names = [name for name in args.pilots if name not in {row["pilot"] for row in rows}]
     with importing_pool(args.workers) as pool:
-        numbers = range(FIRST, FIRST + args.segments)
-        flown = pool.map(partial(one_segment, args), numbers)
-        rows = [row for found in tqdm(flown, total=args.segments) for row in found]
+        numbers = range(FIRST, FIRST + args.segments) if names else ()
+        flown = pool.map(partial(one_segment, args, names), numbers)
+        rows += [row for found in tqdm(flown, total=len(numbers)) for row in found]
     found = summary(rows)
     save(
         args.out,
-        {"summary": found, "flights": rows},
+        {"policy": digest(SHIPPED), "summary": found, "flights": rows},
         arguments=json.loads(json.dumps(asdict(args), default=str)),
     )
     if args.figure is not None:
