@@ -162,7 +162,9 @@ def flights(
                     rng = np.random.default_rng([args.seed, number, index, group[0]])
                     level = disturbance(kind, value)
                     results.append(fly(course, make(), level, len(group), rng, observation))
-                success, contact, seconds = (np.concatenate(part) for part in zip(*results))
+                success, contact, seconds = (
+                    np.concatenate(part) for part in zip(*results, strict=True)
+                )
                 row |= {
                     "flights": len(success), "success": int(success.sum()),
                     "contacts": int(contact.sum()),
