@@ -20,6 +20,7 @@ from train.fly import main as fly
 from train.fly import scene_difference
 from train.mission import _keep_best
 from train.mission import main as mission
+from train.policies import SHIPPED, digest
 from train.runs import RunFolder
 from train.workers import Job
 
@@ -298,3 +299,30 @@ def test_ray_gives_the_same_as_local_workers(finished, scene_file, tmp_path):
     out = tmp_path / "out"
     assert run(scene_file, out, "--ray", "local") == finished[1]
     assert (out / "trajectory.csv").read_bytes() == (finished[0] / "trajectory.csv").read_bytes()
+
+
+def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path, capsys):
+    """`--width 8` of TINY asks for another network, which says so and learns from nothing."""
+
+    def weights_of(name, *words):
+        arguments = ["--scene", str(scene_file), "--out", str(tmp_path / name), "--no-video"]
+        code = mission([*arguments, "--no-plots", *words])
+        config = json.loads((tmp_path / name / "config.json").read_text())
+        segment = tmp_path / name / "segments" / "0" / "config.json"
+        assert json.loads(segment.read_text())["weights"] == config["weights"]
+        return code, config["weights"], json.loads((tmp_path / name / "mission.json").read_text())
+
+    assert weights_of("tiny", *TINY, "--retries", "0")[1] is None
+    assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
+    few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8", "--retries", "0")
+    code, weights, result = weights_of("shipped", *few)
+    assert (code, weights) == (0, digest(SHIPPED))
+    assert sum(entry["updates"] for entry in result["segments"]) <= 24
+    assert weights_of("scratch", *TINY, "--retries", "0", "--from-scratch")[1] is None
+
+
+def test_weights_and_from_scratch_exclude_each_other(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert mission(["--weights", "some.pt", "--from-scratch", "--out", str(out)]) == 2
+    assert "--weights: some.pt: excludes --from-scratch" in capsys.readouterr().err
+    assert not out.exists()

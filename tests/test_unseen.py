@@ -1,13 +1,19 @@
-"""`python -m train.fly --policy`: unseen scenes, and what becomes of failures."""
+"""`python -m train.fly` in unseen scenes: by the policy shipped or another, and what fails."""
 
+import hashlib
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from mjcollect import asset_path
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
+from mjcollect.disturbance import Disturbance, Disturbances
 from mjcollect.episode import Rules
+from mjcollect.generate import LAYOUTS
 from mjcollect.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
@@ -15,7 +21,9 @@ from train import unseen
 from train.ddpg import make_actor
 from train.flight_recorder import fly_law
 from train.fly import main as fly
-from train.policies import TrainedPolicy
+from train.generalist import HELD_OUT
+from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
+from train.pool import draw_leg
 from train.runs import RunFolder
 
 
@@ -52,6 +60,54 @@ def test_flies_a_scene_without_training(scene_file, weights, tmp_path):
     law = fly_law(Course.mission(Scene.load(scene_file), (0, 1)))
     assert result["mission_time"] == law.trajectory.duration
     assert not (tmp_path / "out" / "segments").exists()
+
+
+def test_the_shipped_policy_flies_by_default(scene_file, tmp_path):
+    out = tmp_path / "out"
+    arguments = ["--scene", str(scene_file), "--out", str(out), "--no-video", "--no-plots"]
+    fields = tmp_path / "fields"
+    assert fly([*arguments, "--finetune", "0", "--guidance", str(fields)]) == 0
+    result = json.loads((out / "mission.json").read_text())
+    assert (result["planner"], result["train_seconds"]) == ("policy", None)
+    config = json.loads((out / "config.json").read_text())
+    file = asset_path("policies", "generalist.safetensors")
+    assert config["policy"] == hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+    first = (out / "trajectory.csv").read_bytes()
+    # With the guidance of the first flight it is the same.
+    assert len(list(fields.glob("guidance-*.npz"))) == len(result["segments"])
+    assert fly([*arguments, "--finetune", "0", "--guidance", str(fields), "--overwrite"]) == 0
+    assert (out / "trajectory.csv").read_bytes() == first
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_shipped_policy_arrives_in_scenes_it_was_not_trained_on(layout):
+    """Each segment twice, calm and in wind with weak actuators."""
+    policy = TrainedPolicy.load(weights_file(SHIPPED))
+    level = Disturbance(wind=2.0, gain=0.1)
+    for number in range(HELD_OUT + 50_000, HELD_OUT + 50_003):
+        course = draw_leg(0, number, layout).course(Path("nowhere"))
+        calm = np.array([True, False])
+        disturbances = Disturbances(level, 2, np.random.default_rng(number), calm=calm)
+        sims = Simulations([course], 2, rules=Rules(policy.observation), threads=1,
+                           disturbances=disturbances)  # fmt: skip
+        sims.place(np.arange(2), *course.starts("point", 2, np.random.default_rng(0)))
+        done = np.zeros(2, dtype=bool)
+        for _ in range(course.step_limit):
+            outcome = sims.step(policy(sims.observe().astype(np.float32)))
+            assert not (outcome.slot.crashed & ~done).any()
+            done |= outcome.success
+            if done.all():
+                break
+        assert done.all()
+        sims.close()
+
+
+def test_the_shipped_policy_is_small_and_has_a_card():
+    file = asset_path("policies", "generalist.safetensors")
+    assert file.stat().st_size < 2e6
+    card = file.with_name("README.md").read_text()
+    for word in ("Training scenes", "Seed", "Command", "Held out", "Limits", digest(SHIPPED)):
+        assert word in card, word
 
 
 def test_what_fails_and_is_not_trained_is_flown_by_the_reference(scene_file, weights, tmp_path):
