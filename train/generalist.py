@@ -47,10 +47,10 @@ from train.workers import connect_ray, need_ray
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
 LEARN = LearnConfig(
-    updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, batch=512,
-    width=192, buffer=1_000_000, actor_delay=15_000, gamma=0.97, residual=0.5, law_pull=0.5,
-    noise_min=0.05, noise_max=0.5, demonstrations=50_000, guided_until=0.0, eval_every=10_000,
-    eval_episodes=4, observation="robust", reward="careful",
+    updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, width=192,
+    buffer=1_000_000, actor_delay=5_000, residual=0.5, law_pull=0.5, noise_min=0.02, noise_max=0.2,
+    demonstrations=50_000, guided_until=0.0, eval_every=10_000, eval_episodes=4,
+    observation="robust", reward="careful",
 )  # fmt: skip
 DISTURBANCE = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0)
 
@@ -79,7 +79,7 @@ class Args:
     """Segments flown side by side, each in several simulations."""
     rotate: int = 2_000
     """Updates after which other segments are flown."""
-    disturbed: float = 0.8
+    disturbed: float = 0.7
     """Share of the simulations that are disturbed, up to `disturbance`."""
     disturbance: Annotated[Disturbance, tyro.conf.arg(name="")] = DISTURBANCE
     """Greatest disturbances."""
