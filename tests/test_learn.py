@@ -1,3 +1,4 @@
+import copy
 import dataclasses
 
 import numpy as np
@@ -11,6 +12,7 @@ from train.ddpg import Learner, make_buffer
 from train.evaluation import Evaluation, Evaluator, stream
 from train.learn import segment_trainer
 from train.learn_config import LearnConfig
+from train.policies import TrainedPolicy
 from train.runs import RunFolder
 
 SMALL = LearnConfig(
@@ -49,6 +51,25 @@ def test_same_seed_same_policy_other_seed_another(course):
     assert torch.equal(weights(one), weights(two))
     assert str(one.rows) == str(two.rows)
     assert not torch.equal(weights(one), weights(other))
+
+
+def test_starts_from_the_better_of_a_policy_and_its_law(course):
+    done = trained(course, SMALL)
+    done.learner.actor.load_state_dict(done.best_policy)
+    good = TrainedPolicy(done.learner.actor, SMALL.observation)
+    kept = segment_trainer(course, SMALL, 0, policy=good)
+    assert torch.equal(weights(kept), weights(done))
+    wild = copy.deepcopy(good)
+    with torch.no_grad():
+        list(wild.actor.parameters())[-1][2] = 20.0  # always climbs
+    begun = segment_trainer(course, SMALL, 0, policy=wild)
+    seen = torch.from_numpy(begun.env.simulations.observe()).float()
+    action = begun.learner.actor(TensorDict({"observation": seen}, len(seen)))["action"]
+    assert torch.equal(action, seen[:, -3:])
+    hidden = [p.numel() for p in begun.learner.actor.parameters()][:-2]
+    assert torch.equal(weights(begun)[: sum(hidden)], weights(done)[: sum(hidden)])
+    for trainer in (kept, begun):
+        trainer.close()
 
 
 @pytest.mark.parametrize("stop_after", [1, 15, 29])

@@ -140,8 +140,21 @@ def test_failing_segments_are_trained_one_after_another(scene_file, weights, tmp
     assert "trained there with 7 updates" in (out / "report.md").read_text()
 
 
-def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_path):
+def test_a_failing_segment_is_flown_by_the_law_if_that_does(scene_file, weights, tmp_path):
+    """For real: training starts from the law where the policy is worse, and needs no update."""
+    out = tmp_path / "out"
+    code, result = run(scene_file, out, weights / "wild.safetensors")
+    assert (code, result["planner"]) == (0, "policy")
+    assert verified(scene_file, out)
+    rows = (out / "segments/0/metrics.csv").read_text().splitlines()
+    assert float(rows[1].split(",")[0]) == 0.0
+    law = fly_law(Course.mission(Scene.load(scene_file), (0, 1)))
+    assert result["mission_time"] <= law.trajectory.duration + 0.4
+
+
+def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_path, monkeypatch):
     """Four updates from a policy that always climbs: for real."""
+    monkeypatch.setattr("train.learn.without_correction", lambda same: same)
     out = tmp_path / "out"
     code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "4")
     assert code == 0
