@@ -238,7 +238,7 @@ def test_a_slot_is_judged_by_its_first_event():
     ("fields", "named"),
     [
         ({"observation": "guide"}, "observation: 'guide': must be one of guided, paper"),
-        ({"reward": "fast"}, "reward: 'fast': must be one of time, paper"),
+        ({"reward": "fast"}, "reward: 'fast': must be one of time, careful, paper"),
         ({"gamma": 1.0}, "gamma: 1.0"),
     ],
 )
