@@ -268,7 +268,7 @@ def test_unknown_names_list_the_valid_ones(free_scene, free_course):
         load("segments", free_scene)
     with pytest.raises(ValueError, match="must be one of guided, paper"):
         load("segment", free_scene, observation="full")
-    with pytest.raises(ValueError, match="must be one of time, paper"):
+    with pytest.raises(ValueError, match="must be one of time, careful, paper"):
         load("segment", free_scene, reward="sparse")
     with pytest.raises(ValueError, match="must be one of point, ball, spread"):
         make_environment(free_course, start="random")
