@@ -54,6 +54,8 @@ LEVELS: dict[str, tuple[float, ...]] = {
 UNITS = {"wind": "m/s²", "gusts": "m/s², standard deviation", "gain": "share", "delay": "s",
          "noise": "m, standard deviation", "mover": "m/s",
          "all": "share of the greatest"}  # fmt: skip
+TITLES = {"wind": "steady wind", "gusts": "gusts", "gain": "actuator gain",
+          "delay": "actuator delay", "noise": "position noise", "mover": "moving box", "all": "all at once"}  # fmt: skip
 COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference": RED,
            "policy": GREEN}  # fmt: skip
 LEGEND = {"mpc": "MPC", "reference": "reference, open loop"}
@@ -195,35 +197,38 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def draw(path: Path, found: list[dict[str, Any]]) -> None:
-    """Success above, time below, a column for each disturbance."""
-    made = figure(3.2 * len(LEVELS), 6.6)
-    axes: Any = made.subplots(2, len(LEVELS), sharey="row")
+    """For each disturbance the success above, and the time of those that arrive below."""
+    made = figure(12.5, 13.0)
+    grid: Any = made.subplots(4, 4, gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     names = list(dict.fromkeys(row["pilot"] for row in found))
     spare = iter((BLACK, "#56B4E9", "#F0E442"))
-    for name in names:
-        colour = COLOURS.get(name) or next(spare)
-        for column, kind in enumerate(LEVELS):
+    colours = {name: COLOURS.get(name) or next(spare) for name in names}
+    for place, kind in enumerate(LEVELS):
+        success, time = grid[2 * (place // 4), place % 4], grid[2 * (place // 4) + 1, place % 4]
+        for name in names:
             these = [row for row in found if row["pilot"] == name and row["kind"] == kind]
             x = [row["level"] for row in these]
-            style = {
-                "color": colour,
-                "marker": "o",
-                "markersize": 3.5,
-                "label": LEGEND.get(name, name),
-            }
-            axes[0, column].plot(x, [row["success_rate"] for row in these], **style)
-            axes[1, column].plot(x, [row["time"] for row in these], **style)
-    for column, kind in enumerate(LEVELS):
-        axes[0, column].set_title(kind, **LABEL)
-        axes[1, column].set_xlabel(UNITS[kind], **LABEL)
-        for line in axes[:, column]:
-            line.grid(color="#E0E0E0", linewidth=0.6)
-    axes[0, 0].set_ylim(-0.04, 1.04)
-    axes[0, 0].set_ylabel("success rate", **LABEL)
-    axes[1, 0].set_ylabel("mean time / detour time", **LABEL)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="lower center", ncols=len(names), frameon=False)
-    made.tight_layout(rect=(0, 0.06, 1, 1))
+            style = {"color": colours[name], "marker": "o", "markersize": 3.5}
+            # Where hardly anything arrives, the time of what does says nothing.
+            times = [row["time"] if row["success_rate"] >= 0.5 else None for row in these]
+            success.plot(x, [row["success_rate"] for row in these], **style)
+            time.plot(x, [np.nan if t is None else t for t in times], **style)
+        success.set_title(TITLES[kind], **LABEL)
+        success.set_ylim(-0.04, 1.04)
+        time.set_ylim(1.0, 1.5)
+        time.set_xlabel(UNITS[kind], **LABEL)
+        for axes in (success, time):
+            axes.grid(color="#E0E0E0", linewidth=0.6)
+            axes.spines[["top", "right"]].set_visible(False)
+    for row in (0, 2):
+        grid[row, 0].set_ylabel("success rate", **LABEL)
+        grid[row + 1, 0].set_ylabel("time / detour time", **LABEL)
+    for axes in grid[2:, 3]:
+        axes.set_visible(False)
+    lines = grid[0, 0].get_lines()
+    labels = [LEGEND.get(name, name) for name in names]
+    made.tight_layout(h_pad=1.5)
+    made.legend(lines, labels, loc="center", bbox_to_anchor=(0.88, 0.3), frameon=False)
     save_figure(made, path)
 
 
