@@ -55,7 +55,8 @@ UNITS = {"wind": "m/s²", "gusts": "m/s², standard deviation", "gain": "share",
          "noise": "m, standard deviation", "mover": "m/s",
          "all": "share of the greatest"}  # fmt: skip
 TITLES = {"wind": "steady wind", "gusts": "gusts", "gain": "actuator gain",
-          "delay": "actuator delay", "noise": "position noise", "mover": "moving box", "all": "all at once"}  # fmt: skip
+          "delay": "actuator delay", "noise": "position noise", "mover": "moving box",
+          "all": "all at once"}  # fmt: skip
 COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference": RED,
            "policy": GREEN}  # fmt: skip
 LEGEND = {"mpc": "MPC", "reference": "reference, open loop"}
