@@ -257,7 +257,6 @@ def _arguments(document, field):
     ("arguments", "message"),
     [
         ([], "--run"),
-        (["--scene", "scenario_1"], "--planner"),
         (["--run", "nowhere"], "mission.json"),
         (["--scene", "nowhere.json", "--planner", "guidance"], "does not exist"),
     ],
