@@ -6,6 +6,7 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
+from mjcollect.observation import SIGNS
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
@@ -100,3 +101,24 @@ def test_other_networks_are_refused(actor):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.Softplus()))
     with pytest.raises(ValueError, match="tanh"):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.ReLU()))
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "policy.safetensors"])
+def test_a_quiet_policy_flies_the_law_where_nothing_disturbs(tmp_path, name):
+    """Corrections grow with what is seen of a disturbance: none, half, nearly whole."""
+    torch.manual_seed(0)
+    actor = make_actor(45, 16, 0.5)
+    with torch.no_grad():
+        list(actor.parameters())[-1].fill_(0.3)
+    TrainedPolicy(actor, "robust", quiet=0.02).save(tmp_path / name)
+    quiet = TrainedPolicy.load(tmp_path / name)
+    observation = np.random.default_rng(0).normal(size=(3, 45)).astype(np.float32)
+    observation[:, SIGNS] = 0.0
+    observation[1, SIGNS.start], observation[2, SIGNS.start] = 0.02, 2.0
+    law = observation[:, -3:]
+    whole = TrainedPolicy(actor, "robust")(observation) - law
+    assert np.abs(whole).min() > 0.1
+    share = np.array([[0.0], [0.5], [2.0 / 2.02]])
+    np.testing.assert_allclose(quiet(observation) - law, share * whole, atol=1e-6)
+    single = np.concatenate([quiet(row[None]) for row in observation])
+    np.testing.assert_allclose(single, quiet(observation), atol=1e-5)

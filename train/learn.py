@@ -265,7 +265,7 @@ def segment_trainer(
 
     Args:
         policy: to start from, of the observation and width of `config`; without its correction
-            where the law alone is better.
+            unless it is better than the law alone.
     """
     simulations = make_simulations([course], config, seed)
     evaluator = Evaluator([course], config, seed)
@@ -274,7 +274,7 @@ def segment_trainer(
     else:
         residual, weights = policy.residual, policy.actor.state_dict()
         law = evaluator(lambda observation: observation[:, -3:]) if residual else None
-        if law is not None and law.rank > evaluator(policy).rank:
+        if law is not None and law.rank >= evaluator(policy).rank:
             weights = without_correction(weights)
     return Trainer(simulations, evaluator, config, seed, residual, device, weights)
 

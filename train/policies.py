@@ -17,6 +17,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
 from mjcollect import asset_path
+from mjcollect.observation import SIGNS
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
@@ -39,13 +40,24 @@ class TrainedPolicy:
 
     Attributes:
         actor: TorchRL module, observation -> action. observation: name of the observation.
+        quiet: size of the signs of a disturbance in an adaptive observation at which corrections of
+            the law are half as large; where there is none the law flies. 0: they are whole always.
     """
 
     actor: TensorDictSequential
     observation: str
+    quiet: float = 0.0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions (N, 3) for observations (N, D) float32."""
+        action = self._act(observation)
+        if self.quiet:
+            law = observation[:, -3:]
+            seen = np.linalg.norm(observation[:, SIGNS], axis=1, keepdims=True)
+            return np.asarray(law + seen / (self.quiet + seen) * (action - law))
+        return action
+
+    def _act(self, observation: np.ndarray) -> np.ndarray:
         if len(observation) == 1:
             return self.plain(observation[0])[None]
         device = next(self.actor.parameters()).device
@@ -74,11 +86,13 @@ class TrainedPolicy:
             name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
         }
         if path.suffix == ".safetensors":
-            path.write_bytes(safetensors.torch.save(weights, {"observation": self.observation}))
+            names = {"observation": self.observation, "quiet": repr(self.quiet)}
+            path.write_bytes(safetensors.torch.save(weights, names))
             return
         # Through memory: on a full disk torch.save itself raises no OSError.
         buffer = io.BytesIO()
-        torch.save({"actor": weights, "observation": self.observation}, buffer)
+        content = {"actor": weights, "observation": self.observation, "quiet": self.quiet}
+        torch.save(content, buffer)
         path.write_bytes(buffer.getvalue())
 
     @classmethod
@@ -87,14 +101,14 @@ class TrainedPolicy:
         if path.suffix == ".safetensors":
             with safetensors.safe_open(path, "pt") as file:
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                observation = file.metadata()["observation"]
+                names = file.metadata()
         else:
             saved = torch.load(path, weights_only=True, map_location="cpu")
-            weights, observation = saved["actor"], saved["observation"]
+            weights, names = saved["actor"], saved
         first = next(value for name, value in weights.items() if name.endswith("0.weight"))
         actor = make_actor(first.shape[1], first.shape[0], _scale(weights))
         actor.load_state_dict(weights)
-        return cls(actor, observation)
+        return cls(actor, names["observation"], float(names.get("quiet", 0.0)))
 
 
 def _scale(weights: Mapping[str, torch.Tensor]) -> float:
