@@ -25,7 +25,6 @@ import tyro
 from mjcollect.batch import Fleet, Simulations
 from mjcollect.disturbance import Disturbance, Disturbances
 from mjcollect.observation import WITH_LAW
-from train.ddpg import QUIET
 from train.evaluation import Evaluator, stream
 from train.learn import Trainer, make_simulations
 from train.learn_config import LearnConfig
@@ -47,6 +46,7 @@ from train.workers import connect_ray, need_ray
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
+FADE = 0.005  # see `TrainedPolicy.quiet`; of the saved policy, not while it learns
 LEARN = LearnConfig(
     updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, width=192,
     buffer=1_000_000, actor_delay=5_000, residual=0.5, law_pull=0.5, noise_min=0.02, noise_max=0.2,
@@ -292,7 +292,7 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
     assert trainer.best_policy is not None
     trainer.learner.actor.load_state_dict(trainer.best_policy)
     # In calm air there is nothing to gain on the law, so what errors the correction has go.
-    policy = dataclasses.replace(trainer.policy, quiet=QUIET)
+    policy = dataclasses.replace(trainer.policy, quiet=FADE)
     held_out = trainer.evaluator(policy)
     folder.write("policy.safetensors", policy.save)
     columns = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
