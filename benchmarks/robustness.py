@@ -70,16 +70,17 @@ class Args:
 
     pilots: tuple[str, ...] = ("reference", "law", "adaptive law", "mpc", "policy")
     """Who flies: any of these, of which `policy` is the one shipped, and files of others."""
-    segments: int = 24
+    segments: int = 40
     """Segments, each of a generated scene of its own."""
-    draws: int = 8
+    draws: int = 16
     """Flights on each segment at each level; of the slower MPC an eighth."""
     seed: int = 0
     """Seed of scenes and disturbances."""
     workers: int = 2
     """Processes."""
     out: Path | None = None
-    """JSON file for the results; pilots that it already holds do not fly again."""
+    """JSON file for the results. Every flight goes into a `.flights.json` beside it; pilots that
+    this already holds do not fly again."""
     figure: Path | None = None
     """PNG file for the curves."""
 
@@ -216,7 +217,7 @@ def draw(path: Path, found: list[dict[str, Any]]) -> None:
             time.plot(x, [np.nan if t is None else t for t in times], **style)
         success.set_title(TITLES[kind], **LABEL)
         success.set_ylim(-0.04, 1.04)
-        time.set_ylim(1.0, 1.5)
+        time.set_ylim(1.0, 1.6)
         time.set_xlabel(UNITS[kind], **LABEL)
         for axes in (success, time):
             axes.grid(color="#E0E0E0", linewidth=0.6)
@@ -260,8 +261,9 @@ def one_segment(args: Args, names: Sequence[str], number: int) -> list[dict[str,
 def main(args: Args) -> int:
     """Fly, count, draw."""
     rows: list[dict[str, Any]] = []
-    if args.out is not None and args.out.is_file():
-        rows = json.loads(args.out.read_text())["flights"]
+    every = None if args.out is None else args.out.with_suffix(".flights.json")
+    if every is not None and every.is_file():
+        rows = json.loads(every.read_text())["flights"]
     names = [name for name in args.pilots if name not in {row["pilot"] for row in rows}]
     with importing_pool(args.workers) as pool:
         numbers = range(FIRST, FIRST + args.segments) if names else ()
@@ -270,9 +272,10 @@ def main(args: Args) -> int:
     found = summary(rows)
     save(
         args.out,
-        {"policy": digest(SHIPPED), "summary": found, "flights": rows},
+        {"policy": digest(SHIPPED), "summary": found},
         arguments=json.loads(json.dumps(asdict(args), default=str)),
     )
+    save(every, {"flights": rows})
     if args.figure is not None:
         draw(args.figure, found)
     for row in found:
