@@ -264,26 +264,23 @@ def segment_trainer(
     """A trainer for a course of one leg.
 
     Args:
-        policy: to start from, of the observation and width of `config`; without its correction
-            unless it is better than the law alone.
+        policy: to start from, of the observation and width of `config`, if it is better here than
+            the law; else learning starts from the law alone.
     """
     simulations = make_simulations([course], config, seed)
     evaluator = Evaluator([course], config, seed)
-    if policy is None:
-        residual, weights = _residual(evaluator, config), None
-    else:
+    residual, weights = _residual(evaluator, config), None
+    if policy is not None and _is_better(policy, evaluator):
         residual, weights = policy.residual, policy.actor.state_dict()
-        law = evaluator(lambda observation: observation[:, -3:]) if residual else None
-        if law is not None and law.rank >= evaluator(policy).rank:
-            weights = without_correction(weights)
     return Trainer(simulations, evaluator, config, seed, residual, device, weights)
 
 
-def without_correction(weights: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """An actor's state with a last layer of zeros, so that it flies the law."""
-    layers = [name.removesuffix(".weight") for name in weights if name.endswith(".weight")]
-    last = (f"{layers[-1]}.weight", f"{layers[-1]}.bias")
-    return {name: 0 * value if name in last else value for name, value in weights.items()}
+def _is_better(policy: TrainedPolicy, evaluator: Evaluator) -> bool:
+    """Whether a policy is better than the law that it corrects, if it does."""
+    if not policy.residual:
+        return True
+    law = evaluator(lambda observation: observation[:, -3:])
+    return evaluator(policy).rank > law.rank
 
 
 def make_simulations(
