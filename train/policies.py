@@ -24,6 +24,7 @@ from train.plain_actor import PlainActor
 from train.runs import RunError
 
 SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
+PATIENCE = 1_000  # of learning that goes on from a policy: there is little left to find
 # What reading a file that is no policy ends in.
 UNREADABLE = (
     OSError, RuntimeError, ValueError, LookupError, StopIteration, TypeError,
@@ -143,8 +144,9 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
             raise RunError(
                 f"--{field}: {asked}: the policy of --weights {path} has {value}; leave one out"
             )
-    own = replace(learn, observation=policy.observation, width=policy.width, least_updates=0)
-    return policy, own
+    patience = min(learn.patience, PATIENCE)
+    learn = replace(learn, observation=policy.observation, width=policy.width)
+    return policy, replace(learn, least_updates=0, patience=patience)
 
 
 def digest(path: Path) -> str:
