@@ -261,6 +261,15 @@ def test_can_stop_is_what_flying_it_shows(slot):
     assert 80 < sum(answers) < 320
 
 
+@pytest.mark.parametrize("outside", [1e-13, 9e-7])
+def test_it_leaves_a_bound_that_rounding_has_put_it_beyond(outside):
+    course = Course.segment(scene([]), (0,), 0)
+    q = np.array([[10.0, -outside, 30], [10.0, 60 + outside, 30], [-outside, 30, 60 + outside]])
+    flown = Flown(course, 3, places=(q, np.zeros_like(q)))
+    assert flown.won.all()
+    assert flies_clear(flown, course)
+
+
 def test_beside_a_box_it_may_go_but_not_nearer():
     world = World(
         bounds=FLAT[None],

@@ -162,6 +162,8 @@ def can_stop(world: World, w: int, q: Array, v: Array, a: Array) -> bool:
             least = q[k] + min(v[k], 0.0) * slot
         if q[k] - most > OUTSIDE:
             most = q[k] + max(v[k], 0.0) * slot
+        # Outside by rounding: no farther, or nothing would ever be allowed from there.
+        least, most = min(least, q[k]), max(most, q[k])
         if min(low[k], rest) < least or max(high[k], rest) > most:
             return False
     for b in range(len(boxes)):
