@@ -34,6 +34,7 @@ from mjcollect.scene import Scene
 from mjcollect.tour import plan_order
 from train.flight_recorder import Flight, fly_law, record
 from train.mission_report import mission_result
+from train.policies import SHIPPED, digest
 
 SHOWN = ("success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations")
 Row = dict[str, Any]
@@ -132,6 +133,7 @@ PROGRAMS = {
     "finetuned": ("train.mission",),
     "shipped": ("train.fly", "--no-plots"),
 }
+OF_SHIPPED = ("finetuned", "shipped")  # flown anew when another policy is shipped
 PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
     "mpc": fly_mpc,
     "reference": fly_reference,
@@ -150,7 +152,12 @@ def scenes(args: Args) -> list[Scene]:
 
 def missions(args: Args, rows: list[Row]) -> None:
     """Fly what `rows` does not hold yet, add it and save."""
-    done = {(row["scene"], row["planner"], row["order_method"]) for row in rows}
+    shipped = digest(SHIPPED)
+    done = {
+        (row["scene"], row["planner"], row["order_method"])
+        for row in rows
+        if row.get("shipped") in (None, shipped)
+    }
     for scene in scenes(args):
         todo = [name for name in args.planners if (scene.name, name, args.order) not in done]
         if not todo:
@@ -169,6 +176,10 @@ def missions(args: Args, rows: list[Row]) -> None:
             row = {"scene": scene.name, "layout": scene.name.split("_")[0], "planner": name}
             row |= {"order_method": args.order, "seed": scene.seed}
             row |= {key: result[key] for key in SHOWN} | {"seconds": seconds} | more
+            if name in OF_SHIPPED:
+                row["shipped"] = shipped
+            same = ("scene", "planner", "order_method")  # flown by another policy
+            rows[:] = [old for old in rows if any(old[key] != row[key] for key in same)]
             rows.append(row)
             save(args.out, {"results": rows})
             time_flown = f"{row['mission_time']:.1f} s" if row["success"] else "no success"

@@ -59,8 +59,10 @@ TITLES = {"wind": "steady wind", "gusts": "gusts", "gain": "actuator gain",
           "all": "all at once"}  # fmt: skip
 COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference": RED,
            "policy": GREEN}  # fmt: skip
-LEGEND = {"mpc": "MPC", "reference": "reference, open loop"}
+LEGEND = {"mpc": "MPC", "reference": "reference, open loop", "policy": "shipped policy"}
 FIRST = HELD_OUT + 10_000  # no policy was chosen by these segments either
+OTHERS = ("reference", "law", "adaptive law", "mpc")  # pilots that are no policies
+RESAMPLES = 2_000  # of the segments, for an interval
 Pilot = Callable[[Simulations], np.ndarray]
 
 
@@ -79,8 +81,8 @@ class Args:
     workers: int = 2
     """Processes."""
     out: Path | None = None
-    """JSON file for the results. Every flight goes into a `.flights.json` beside it; pilots that
-    this already holds do not fly again."""
+    """JSON file for the results. Every flight goes into a `.flights.json` beside it, segment by
+    segment; what this already holds of the same pilots is not flown again."""
     figure: Path | None = None
     """PNG file for the curves."""
 
@@ -198,6 +200,34 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
+def differences(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """How much more often policies arrive than the adaptive law, in shares, kind by kind.
+
+    With intervals of 95% over the segments, each with all its flights, drawn anew with replacement.
+    """
+    rate = {
+        (row["pilot"], row["kind"], row["level"], row["segment"]): row["success"] / row["flights"]
+        for row in rows
+    }
+    found = []
+    for pilot, kind, level in dict.fromkeys(key[:3] for key in rate if key[0] not in OTHERS):
+        own = [key for key in rate if key[:3] == (pilot, kind, level)]
+        pairs = [(rate[key], rate.get(("adaptive law", *key[1:]))) for key in own]
+        gain = np.array([mine - law for mine, law in pairs if law is not None])
+        if not len(gain):
+            continue
+        rng = np.random.default_rng(0)
+        means = gain[rng.integers(len(gain), size=(RESAMPLES, len(gain)))].mean(axis=1)
+        low, high = np.quantile(means, [0.025, 0.975])
+        found.append(
+            {
+                "pilot": pilot, "kind": kind, "level": level, "segments": len(gain),
+                "more": float(gain.mean()), "low": float(low), "high": float(high),
+            }
+        )  # fmt: skip
+    return found
+
+
 def draw(path: Path, found: list[dict[str, Any]]) -> None:
     """For each disturbance the success above, and the time of those that arrive below."""
     made = figure(12.5, 13.0)
@@ -219,7 +249,9 @@ def draw(path: Path, found: list[dict[str, Any]]) -> None:
         success.set_ylim(-0.04, 1.04)
         time.set_ylim(1.0, 1.6)
         time.set_xlabel(UNITS[kind], **LABEL)
+        greatest = 1.0 if kind == "all" else getattr(DISTURBANCE, kind)
         for axes in (success, time):
+            axes.axvline(greatest, color=BLACK, linewidth=0.8, linestyle=":")
             axes.grid(color="#E0E0E0", linewidth=0.6)
             axes.spines[["top", "right"]].set_visible(False)
     for row in (0, 2):
@@ -230,13 +262,15 @@ def draw(path: Path, found: list[dict[str, Any]]) -> None:
     lines = grid[0, 0].get_lines()
     labels = [LEGEND.get(name, name) for name in names]
     made.tight_layout(h_pad=1.5)
-    made.legend(lines, labels, loc="center", bbox_to_anchor=(0.88, 0.3), frameon=False)
+    note = "dotted: the greatest\nthat the policy was trained with"
+    made.legend(lines, labels, loc="center", bbox_to_anchor=(0.88, 0.3), frameon=False, title=note)
     save_figure(made, path)
 
 
-def one_segment(args: Args, names: Sequence[str], number: int) -> list[dict[str, Any]]:
-    """Every flight on one segment; none where the guidance finds no way."""
+def one_segment(args: Args, job: tuple[int, Sequence[str]]) -> list[dict[str, Any]]:
+    """Every flight of some pilots on one segment; none where the guidance finds no way."""
     torch.set_num_threads(1)
+    number, names = job
     leg = draw_leg(args.seed, number)
     with tempfile.TemporaryDirectory() as nowhere, contextlib.suppress(GuidanceError):
         course = leg.course(Path(nowhere))
@@ -258,24 +292,57 @@ def one_segment(args: Args, names: Sequence[str], number: int) -> list[dict[str,
     return []
 
 
+def policies(pilots: Sequence[str]) -> dict[str, str]:
+    """Digests of those pilots that are policies."""
+    files = {name: SHIPPED if name == "policy" else Path(name) for name in pilots}
+    return {name: digest(file) for name, file in files.items() if name not in OTHERS}
+
+
+def flown_before(every: Path | None, args: Args) -> list[dict[str, Any]]:
+    """Flights of an earlier call that this one would repeat.
+
+    Raises:
+        SystemExit: they were drawn in another way.
+    """
+    if every is None or not every.is_file():
+        return []
+    saved = json.loads(every.read_text())
+    for field, value in (("draws", args.draws), ("seed", args.seed)):
+        if saved[field] != value:
+            raise SystemExit(f"--{field}: {value}: {every} has {saved[field]}; use another --out")
+    now = policies(args.pilots)
+    numbers = range(FIRST, FIRST + args.segments)
+    return [
+        row
+        for row in saved["flights"]
+        if row["pilot"] in args.pilots
+        and row["segment"] in numbers
+        and now.get(row["pilot"]) == saved["policies"].get(row["pilot"])
+    ]
+
+
 def main(args: Args) -> int:
     """Fly, count, draw."""
-    rows: list[dict[str, Any]] = []
     every = None if args.out is None else args.out.with_suffix(".flights.json")
-    if every is not None and every.is_file():
-        rows = json.loads(every.read_text())["flights"]
-    names = [name for name in args.pilots if name not in {row["pilot"] for row in rows}]
+    rows, drawn = flown_before(every, args), {"draws": args.draws, "seed": args.seed}
+    drawn |= {"policies": policies(args.pilots)}
+    done = {(row["segment"], row["pilot"]) for row in rows}
+    jobs = [
+        (number, names)
+        for number in range(FIRST, FIRST + args.segments)
+        if (names := [name for name in args.pilots if (number, name) not in done])
+    ]
     with importing_pool(args.workers) as pool:
-        numbers = range(FIRST, FIRST + args.segments) if names else ()
-        flown = pool.map(partial(one_segment, args, names), numbers)
-        rows += [row for found in tqdm(flown, total=len(numbers)) for row in found]
+        for found in tqdm(pool.map(partial(one_segment, args), jobs), total=len(jobs)):
+            rows += found
+            save(every, {**drawn, "flights": rows})
+    rows.sort(key=lambda row: args.pilots.index(row["pilot"]))
     found = summary(rows)
     save(
         args.out,
-        {"policy": digest(SHIPPED), "summary": found},
+        {"policies": policies(args.pilots), "summary": found, "differences": differences(rows)},
         arguments=json.loads(json.dumps(asdict(args), default=str)),
     )
-    save(every, {"flights": rows})
     if args.figure is not None:
         draw(args.figure, found)
     for row in found:

@@ -17,6 +17,7 @@ from mjcollect.course import Course
 from mjcollect.disturbance import MARGIN, REST_SPEED, Disturbances
 from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge
 from mjcollect.geometry import FAR, Array
+from mjcollect.guidance import Way
 from mjcollect.observation import ADAPTIVE, OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
@@ -303,25 +304,23 @@ class Episodes:
     def _look_anew(self, approach: Approach, which: NDArray[np.intp]) -> None:
         """Write the rows `which` of an approach."""
         for target, mine in self._by_target(which):
-            way = self._guidance[target].way
-            if len(self._noticed.boxes[0]) > len(self.world.boxes[0]):
-                way = way._replace(line=way.line[:0])  # planned without the moving box
-            kernels.look(
-                self._noticed,
-                way,
-                self._guidance[target].slack,
-                mine,
-                self._goal[target],
-                LOOK_AHEAD,
-                self.q,
-                self.v,
-                approach.offset,
-                approach.distance,
-                approach.direction,
-                approach.closing,
-                approach.ahead,
-                approach.law,
-            )
+            for rows, way in self._ways(target, mine):
+                kernels.look(
+                    self._noticed,
+                    way,
+                    self._guidance[target].slack,
+                    rows,
+                    self._goal[target],
+                    LOOK_AHEAD,
+                    self.q,
+                    self.v,
+                    approach.offset,
+                    approach.distance,
+                    approach.direction,
+                    approach.closing,
+                    approach.ahead,
+                    approach.law,
+                )
             approach.slack[mine] = self._guidance[target].slack
             beyond = self._guidance[target].beyond
             if beyond is not None:
@@ -332,6 +331,16 @@ class Episodes:
             gain, push = self._gain[which], self._push[which]
             law = approach.law[which] * adaptation.usable(gain, push)
             approach.law[which] = adaptation.counter(law, gain, push)
+
+    def _ways(self, target: int, which: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], Way]]:
+        """The episodes `which` with their way: its line was planned without a moving box."""
+        way = self._guidance[target].way
+        if self.disturbances is None:
+            yield which, way
+            return
+        crossed = self.disturbances.movers.speed[which] > 0.0
+        yield which[~crossed], way
+        yield which[crossed], way._replace(line=way.line[:0])
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """The episodes `which` in groups with the same current target."""

@@ -10,7 +10,7 @@ from mjcollect.course import Course
 from mjcollect.scene import Scene
 from train.ddpg import Learner, make_buffer
 from train.evaluation import Evaluation, Evaluator, stream
-from train.learn import segment_trainer
+from train.learn import _is_better, segment_trainer
 from train.learn_config import LearnConfig
 from train.policies import TrainedPolicy
 from train.runs import RunFolder
@@ -62,13 +62,48 @@ def test_starts_from_the_better_of_a_policy_and_its_law(course):
     wild = copy.deepcopy(good)
     with torch.no_grad():
         list(wild.actor.parameters())[-1][2] = 20.0  # always climbs
-    begun = segment_trainer(course, SMALL, 0, policy=wild)
+    # Its fade would make it the law in calm air, or all but: learning starts without.
+    for quiet in (0.0, 1e9):
+        begun = segment_trainer(course, SMALL, 0, policy=dataclasses.replace(wild, quiet=quiet))
+        _is_the_law(begun)
+        begun.close()
+    kept.close()
+
+
+def test_a_policy_that_is_better_than_its_law_is_where_learning_starts(course):
+    """The policy flies as the law does, and the law is made worse: it stays where it is.
+
+    Judged is what learning would start from: the weights, without a fade.
+    """
+    actor = segment_trainer(course, SMALL, 5).learner.actor
+    law = TrainedPolicy(actor, SMALL.observation, quiet=1e9)
+    evaluator = segment_trainer(course, SMALL, 0).evaluator
+
+    def worse(policy):
+        if not isinstance(policy, TrainedPolicy):
+            return evaluator(lambda observation: 0 * observation[:, -3:])
+        assert policy.quiet == 0.0
+        return evaluator(policy)
+
+    assert _is_better(law, worse)
+    assert not _is_better(law, evaluator)
+
+
+def test_weights_without_a_law_are_evaluated_before_they_change(course):
+    free = dataclasses.replace(SMALL, residual=0.0, hard_residual=0.0)
+    own = TrainedPolicy(segment_trainer(course, free, 5).learner.actor, SMALL.observation)
+    trainer = segment_trainer(course, free, 0, policy=own)
+    next(trainer.run())
+    assert trainer.rows[0]["update"] == 0
+    assert trainer.rows[0]["eval_return"] == trainer.evaluator(own).mean_return
+    trainer.close()
+
+
+def _is_the_law(begun):
     seen = torch.from_numpy(begun.env.simulations.observe()).float()
     action = begun.learner.actor(TensorDict({"observation": seen}, len(seen)))["action"]
     assert torch.equal(action, seen[:, -3:])
     assert begun.learner.residual in (SMALL.residual, SMALL.hard_residual)
-    for trainer in (kept, begun):
-        trainer.close()
 
 
 @pytest.mark.parametrize("stop_after", [1, 15, 29])

@@ -18,9 +18,9 @@ from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
 from train.fly import scene_difference
-from train.mission import _keep_best
+from train.mission import _from_weights, _keep_best
 from train.mission import main as mission
-from train.policies import SHIPPED, digest
+from train.policies import SHIPPED, TrainedPolicy, digest
 from train.runs import RunFolder
 from train.workers import Job
 
@@ -314,14 +314,29 @@ def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path,
     assert weights_of("tiny", *TINY, "--retries", "0")[1] is None
     assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
     few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8", "--retries", "0")
-    code, weights, result = weights_of("shipped", *few)
+    code, weights, _ = weights_of("shipped", *few, "--observation", "robust", "--width", "192")
     assert (code, weights) == (0, digest(SHIPPED))
-    assert sum(entry["updates"] for entry in result["segments"]) <= 24
+    assert "from scratch" not in capsys.readouterr().err
+    segments = (tmp_path / "shipped" / "segments").iterdir()
+    policies = [TrainedPolicy.load(segment / "policy.pt") for segment in segments]
+    assert {(policy.observation, policy.width) for policy in policies} == {("robust", 192)}
     assert weights_of("scratch", *TINY, "--retries", "0", "--from-scratch")[1] is None
 
 
-def test_weights_and_from_scratch_exclude_each_other(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--from-scratch",), "--weights: some.pt: excludes --from-scratch"),
+        (("--ray", "local"), "--weights: some.pt: the nodes of --ray"),
+    ],
+)
+def test_what_weights_exclude(tmp_path, capsys, more, message):
     out = tmp_path / "out"
-    assert mission(["--weights", "some.pt", "--from-scratch", "--out", str(out)]) == 2
-    assert "--weights: some.pt: excludes --from-scratch" in capsys.readouterr().err
+    assert mission(["--weights", "some.pt", "--out", str(out), *more]) == 2
+    assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_what_fails_with_the_weights_is_learned_anew():
+    assert _from_weights(SHIPPED, 0) == ["--weights", str(SHIPPED)]
+    assert _from_weights(SHIPPED, 1) == _from_weights(None, 0) == []

@@ -10,7 +10,7 @@ from mjcollect.observation import SIGNS
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
-from train.policies import TrainedPolicy, start_from
+from train.policies import PATIENCE, TrainedPolicy, check_size, digest, start_from
 from train.runs import RunError
 
 
@@ -69,20 +69,50 @@ def test_learning_goes_on_from_a_policy_of_the_same_shape(tmp_path):
     TrainedPolicy(make_actor(45, 16, 0.3), "robust").save(path)
     policy, learn = start_from(path, LearnConfig(updates=5))
     assert (learn.observation, learn.width, learn.updates) == ("robust", 16, 5)
-    assert learn.least_updates == 0
+    assert (learn.least_updates, learn.patience) == (0, PATIENCE)
+    asked = LearnConfig(least_updates=7, patience=4_000)
+    assert start_from(path, asked)[1].least_updates == 7
+    assert start_from(path, asked)[1].patience == 4_000
     assert policy.observation == "robust"
     for field, value in (("width", 32), ("observation", "paper")):
         with pytest.raises(RunError, match=f"--{field}: {value}"):
             start_from(path, LearnConfig(**{field: value}))
 
 
-@pytest.mark.parametrize("name", ["none.pt", "text.pt", "text.safetensors", "other.pt"])
+def test_the_same_weights_give_the_same_file(tmp_path):
+    policy = TrainedPolicy(make_actor(45, 16, 0.3), "robust", 0.005)
+    files = [tmp_path / f"{k}.safetensors" for k in range(4)]
+    for file in files:
+        policy.save(file)
+    assert len({digest(file) for file in files}) == 1
+
+
+@pytest.mark.parametrize("inputs", [45, 68])
+def test_a_policy_for_other_observations_is_refused(free_course, inputs):
+    """As one of the observation `robust` is that was saved before that grew."""
+    policy = TrainedPolicy(make_actor(inputs, 16, 0.3), "robust")
+    if inputs == 68:
+        check_size(policy, free_course)
+        return
+    with pytest.raises(RunError, match=r"--policy: a policy of 45 inputs, .* robust has 68 here"):
+        check_size(policy, free_course, "--policy")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["none.pt", "text.pt", "text.safetensors", "empty.pt", "other.pt", "flat.pt", "strange.pt"],
+)
 def test_a_file_that_is_no_policy_is_refused(tmp_path, name):
     for text in ("text.pt", "text.safetensors"):
         (tmp_path / text).write_text("no policy")
+    (tmp_path / "empty.pt").touch()
     torch.save({"actor": {}}, tmp_path / "other.pt")
+    torch.save({"actor": torch.zeros(3)}, tmp_path / "flat.pt")
+    TrainedPolicy(make_actor(45, 16, 0.3), "strange").save(tmp_path / "strange.pt")
     with pytest.raises(RunError, match=f"--weights: .*{name}: holds no policy"):
         start_from(tmp_path / name, LearnConfig())
+    with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
+        start_from(tmp_path / name, LearnConfig(), "--policy")
 
 
 def test_a_new_policy_sees_what_was_learned_since(actor):

@@ -11,6 +11,8 @@ from crowds import FLAT, RADIUS, Flown, crowded, dense, gaps
 from mjcollect.batch import Simulations
 from mjcollect.bounds import leg_time
 from mjcollect.course import Course
+from mjcollect.disturbance import Disturbance, Disturbances
+from mjcollect.episode import Rules
 from mjcollect.flight import World, slot_path
 from mjcollect.kernels.line import BEHIND, FASTER, follow_row
 from mjcollect.planners.mpc import WALLS, Mpc
@@ -49,6 +51,27 @@ def test_a_sharp_turn_is_flown_quicker_and_clear(bend):
     assert with_it.least_gap(bend.scene.obstacles) >= RADIUS - 1e-9
     assert with_it.farthest_outside(bend.scene.bounds) <= 1e-6
     assert with_it.slots.mean() < without.slots.mean() - 1
+
+
+def test_only_flights_that_a_box_crosses_do_without():
+    """The line was planned without it; those beside them keep theirs, bit for bit."""
+    bend = Course.segment(scene([WALL], depot=(60.0, 12, 30), item=(345.0, 12, 30)), (0,), 0)
+    assert len(bend.guidance[0].way.line) > 2
+    calm = np.array([True, False])
+    flights = []
+    for level in (Disturbance(), Disturbance(mover=1e-9)):
+        disturbances = Disturbances(level, 2, np.random.default_rng(0), calm=calm)
+        rules = Rules("robust")
+        sims = Simulations([bend], 2, rules=rules, threads=1, disturbances=disturbances)
+        sims.place(np.arange(2), *bend.starts("point", 2, np.random.default_rng(0)))
+        states = []
+        for _ in range(60):
+            sims.step(sims.episodes.guidance_action())
+            states.append(np.concatenate([sims.episodes.q, sims.episodes.v], axis=1))
+        flights.append(np.array(states))
+    still, crossed = flights
+    assert np.array_equal(still[:, 0], crossed[:, 0])
+    assert not np.array_equal(still[:, 1], crossed[:, 1])
 
 
 def test_a_line_out_of_a_corner_keeps_clear_of_the_bounds():

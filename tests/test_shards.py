@@ -13,7 +13,9 @@ from mjcollect.disturbance import Disturbance, Disturbances
 from mjcollect.scene import Scene
 from train.learn import make_simulations
 from train.learn_config import LearnConfig
+from train.runs import RunError
 from train.shards import LocalCrew, RayCrew, ShardedSimulations
+from train.workers import connect_ray
 
 COUNTS = (3, 2)
 
@@ -24,6 +26,14 @@ def simulations(course, count, seed):
     disturbances = Disturbances(level, count, np.random.default_rng(seed), vary=True)
     config = LearnConfig(envs=count, observation="robust", reward="careful")
     return make_simulations([course], config, seed, disturbances)
+
+
+def test_more_shards_than_the_cluster_has_cores_are_refused():
+    """They would wait for ever."""
+    ray = pytest.importorskip("ray")
+    with pytest.raises(RunError, match="--shards: 100000: the cluster at local has"):
+        connect_ray("local", cpus=100_000)
+    assert not ray.is_initialized()
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -153,10 +154,13 @@ def test_a_failing_segment_is_flown_by_the_law_if_that_does(scene_file, weights,
 
 
 def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_path, monkeypatch):
-    """Four updates from a policy that always climbs: for real."""
+    """Four updates from a policy that always climbs: for real, and drawn."""
     monkeypatch.setattr("train.learn._is_better", lambda *_: True)
-    out = tmp_path / "out"
-    code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "4")
+    out, wild = tmp_path / "out", weights / "wild.safetensors"
+    code, result = run(scene_file, out, wild, "--finetune", "4", "--plots")
+    pictures = re.findall(r"\]\((\w+\.png)\)", (out / "report.md").read_text())
+    assert {"path_3d.png", "learning.png"} <= set(pictures)
+    assert all((out / name).is_file() for name in pictures)
     assert code == 0
     assert result["planner"] == "reference"
     own = json.loads((out / "segments/0/segment.json").read_text())
@@ -193,11 +197,31 @@ def test_bad_arguments_write_nothing(arguments, named, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_in_a_training_ends_with_130(scene_file, weights, tmp_path, monkeypatch):
-    def stop(*_):
-        raise unseen.Stopped
-
-    monkeypatch.setattr(unseen, "_train", stop)
+def test_ctrl_c_in_a_training_ends_with_130(scene_file, weights, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(unseen.segment, "train_segment", lambda _: unseen.INTERRUPTED)
     arguments = ["--scene", str(scene_file), "--policy", str(weights / "wild.safetensors")]
     assert fly([*arguments, "--out", str(tmp_path / "out"), "--no-video"]) == 130
     assert RunFolder(tmp_path / "out").read_json("mission.json") is None
+    assert "start again with --overwrite" in capsys.readouterr().err
+
+
+def test_a_folder_in_use_is_not_to_be_resumed(tmp_path, capsys):
+    (tmp_path / "letter.txt").write_text("dear")
+    assert fly(["--scene", "scenario_1", "--out", str(tmp_path)]) == 2
+    assert "give --overwrite to start anew, or another folder" in capsys.readouterr().err
+
+
+def test_guidance_that_cannot_be_kept_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    arguments = ["--scene", "scenario_1", "--guidance", str(tmp_path / "file")]
+    assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
+    assert "--guidance: " in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_policy_of_another_size_writes_nothing(scene_file, tmp_path, capsys):
+    TrainedPolicy(make_actor(45, 8, 0.3), "robust").save(tmp_path / "old.pt")
+    arguments = ["--scene", str(scene_file), "--policy", str(tmp_path / "old.pt")]
+    assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
+    assert "--policy: a policy of 45 inputs" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

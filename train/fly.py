@@ -8,6 +8,7 @@ python -m train.fly --run DIR
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,8 +22,8 @@ from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
 from train.flight_recorder import Flight, fly, fly_law, record
 from train.learn_config import LearnConfig
-from train.mission_report import mission_result, outcome, report, write_flight
-from train.policies import SHIPPED, TrainedPolicy, digest, start_from
+from train.mission_report import mission_result, outcome, report, write_flight, write_learning
+from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from
 from train.runs import (
     INTERRUPTED,
     RunError,
@@ -52,7 +53,7 @@ class Args:
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
-    """Folder for the results; default: runs/fly/<scene name>-<planner>-seed<N>."""
+    """Folder for the results; default: runs/fly/<scene's or run's name>-<planner>-seed<N>."""
     guidance: Path | None = None
     """Folder of guidance fields: what fits is taken from it, what is missing is built and added."""
     seed: int | None = None
@@ -82,7 +83,7 @@ def fly_mission(args: Args) -> int:
         raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
     if args.run is None and args.planner == "policy" and args.policy is None:
         args = replace(args, policy=SHIPPED)
-    policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
+    policy = None if args.policy is None else start_from(args.policy, LearnConfig(), "--policy")[0]
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
@@ -94,7 +95,8 @@ def fly_mission(args: Args) -> int:
         order = plan_order(scene, args.order or "lkh", seed=seed)
         method = order_label(args.order or "lkh")
         trained = [None] * (len(order) + 1)
-    folder = RunFolder(args.out or default_folder("fly", scene.slug, args.planner, f"seed{seed}"))
+    name = scene.slug if args.run is None else args.run.resolve().name
+    folder = RunFolder(args.out or default_folder("fly", name, args.planner, f"seed{seed}"))
     config = {
         "program": "train.fly",
         "scene": scene.name,
@@ -104,16 +106,20 @@ def fly_mission(args: Args) -> int:
         "policy": None if args.policy is None else digest(args.policy),
         "seed": seed,
     }
-    folder.check(config, resume=False, overwrite=args.overwrite)
+    folder.check(config, overwrite=args.overwrite)
+    if args.guidance is not None:
+        _check_guidance(args.guidance)
     course = Course.mission(scene, order, args.guidance)
     if args.guidance is not None:
         course.save_guidance(args.guidance)
     notes: list[str] = []
     if args.policy is not None and policy is not None:
+        check_size(policy, course, "--policy")
         folder.create(config, scene, overwrite=args.overwrite)
         try:
             made = fly_unseen(course, order, policy, args.policy, folder, args.finetune, seed)
         except Stopped:
+            say("stopped; start again with --overwrite")
             return INTERRUPTED
         flight, trained, notes = made.flight, made.trained, made.notes
         args = replace(args, planner=made.planner)
@@ -139,6 +145,22 @@ def fly_mission(args: Args) -> int:
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course)
     return _finish(folder, course, order, method, flight, trained, seed, args, notes)
+
+
+def _check_guidance(folder: Path) -> None:
+    """Refuse a folder that cannot be written to, before any work.
+
+    Raises:
+        RunError: it is a file, or not writable.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise RunError(
+            f"--guidance: {folder}: cannot be used ({error.strerror}); choose another folder"
+        ) from None
 
 
 def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
@@ -227,6 +249,8 @@ def _finish(
     result = mission_result(course, order, method, flight, trained, seed)
     result["planner"] = args.planner
     write_flight(folder, course, order, flight, plots=args.plots)
+    if args.plots:
+        write_learning(folder, len(trained))
     folder.write_json("mission.json", result)
     folder.unlock()
     if args.video:
@@ -235,8 +259,7 @@ def _finish(
         reason = render_in_child(folder.path)
         if reason:
             say(f"no video: {reason}")
-    filmed = (folder.path / "mission.mp4").is_file()
-    folder.write_text("report.md", report(course.scene, result, filmed, args.plots, notes))
+    folder.write_text("report.md", report(folder, course.scene, result, args.plots, notes))
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

@@ -11,6 +11,7 @@ cores, `--shards` simulate beside each other, here or with `--ray` on a cluster;
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ import tyro
 
 from mjcollect.batch import Fleet, Simulations
 from mjcollect.disturbance import Disturbance, Disturbances
-from mjcollect.observation import WITH_LAW
+from mjcollect.observation import ADAPTIVE
 from train.evaluation import Evaluator, stream
 from train.learn import Trainer, make_simulations
 from train.learn_config import LearnConfig
@@ -48,7 +49,7 @@ HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
 FADE = 0.005  # see `TrainedPolicy.quiet`; of the saved policy, not while it learns
 LEARN = LearnConfig(
-    updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, width=192,
+    updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, width=192,
     buffer=1_000_000, actor_delay=5_000, residual=0.5, law_pull=0.5, noise_min=0.02, noise_max=0.2,
     demonstrations=50_000, guided_until=0.0, eval_every=10_000, eval_episodes=4,
     observation="robust", reward="careful",
@@ -197,14 +198,14 @@ def train_generalist(args: Args) -> int:
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("generalist.json") is not None:
         return _report(folder)
+    if args.ray is not None:
+        connect_ray(args.ray, cpus=args.shards)
     folder.create(config, None, overwrite=args.overwrite)
     try:
         numbers = _build(folder, args)
         if numbers is None:
             say("stopped; go on with --resume")
             return INTERRUPTED
-        if args.ray is not None:
-            connect_ray(args.ray)
         generalist = Generalist(args, numbers, (folder.path / "pool").resolve())
         try:
             if not _learn(generalist, folder, args):
@@ -241,11 +242,13 @@ def _check(args: Args) -> None:
         need_ray()
         if args.shards < 1:
             raise RunError("--ray: needs --shards N, the number of actors that simulate")
-    if args.learn.observation not in WITH_LAW:
+    if args.learn.observation not in ADAPTIVE:
         raise RunError(
-            f"--observation: {args.learn.observation}: its size depends on the scene; use "
-            f"{' or '.join(WITH_LAW)}"
+            f"--observation: {args.learn.observation}: does not show disturbances; use "
+            f"{' or '.join(ADAPTIVE)}"
         )
+    if args.learn.residual == 0.0:
+        raise RunError("--residual: 0: this policy corrects the law; use a number above 0, up to 1")
 
 
 def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
@@ -265,6 +268,9 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
         return None
     found = [number for number in wanted if built[str(number)]]
     train, held_out = ([n for n in found if (n >= HELD_OUT) == out] for out in (False, True))
+    for field, left in (("segments", train), ("held-out", held_out)):
+        if not left:
+            raise RunError(f"--{field}: the guidance finds no way in any of them; ask for more")
     return train, held_out
 
 
@@ -300,11 +306,11 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
     folder.write_json(
         "generalist.json",
         {
-            "held_out": dataclasses.asdict(held_out),
-            "without_quiet": dataclasses.asdict(trainer.best),
-            "law": {"success_rate": trainer.rows[0]["eval_success_rate"],
-                    "point_time": trainer.rows[0]["eval_time"],
-                    "mean_time": trainer.rows[0]["eval_mean_time"]},
+            "held_out": _finite(dataclasses.asdict(held_out)),
+            "without_quiet": _finite(dataclasses.asdict(trainer.best)),
+            "law": _finite({"success_rate": trainer.rows[0]["eval_success_rate"],
+                            "point_time": trainer.rows[0]["eval_time"],
+                            "mean_time": trainer.rows[0]["eval_mean_time"]}),
             "best_update": trainer.best_update,
             "updates": trainer.learner.updates,
             "env_steps": trainer.env_steps,
@@ -317,6 +323,11 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
     )  # fmt: skip
 
 
+def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
+    """For JSON: the time of arrivals is no number where there are none."""
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
+
+
 def _report(folder: RunFolder) -> int:
     """Print the result; 0."""
     result = folder.read_json("generalist.json")
@@ -324,10 +335,14 @@ def _report(folder: RunFolder) -> int:
     best, law = result["held_out"], result["law"]
     print(
         f"held out: arrives from {best['success_rate']:.1%} of the starts (law "
-        f"{law['success_rate']:.1%}), calm {best['point_rate']:.1%} in {best['point_time']:.2f} s "
-        f"(law {law['point_time']:.2f} s): {folder.path}"
+        f"{law['success_rate']:.1%}), calm {best['point_rate']:.1%} in "
+        f"{_seconds(best['point_time'])} (law {_seconds(law['point_time'])}): {folder.path}"
     )
     return 0
+
+
+def _seconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f} s"
 
 
 if __name__ == "__main__":

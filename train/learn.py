@@ -79,6 +79,7 @@ class Trainer:
             device=device,
             weights=weights,
         )
+        self._taught = weights is not None
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
         self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
         scale = torch.linspace(config.noise_min, config.noise_max, config.envs) * (residual or 1.0)
@@ -106,8 +107,8 @@ class Trainer:
     def run(self) -> Iterator[int]:
         """Train to the end of the budget, yielding the number of updates after each round."""
         config = self.config
-        if not self.rows and self.learner.residual:
-            self._evaluate()  # the law's own flight: what is learned must beat it
+        if not self.rows and (self.learner.residual or self._taught):
+            self._evaluate()  # the flight of law or weights: what is learned must beat it
             self.finished = self._spent  # what begins from a policy may be good enough
         while not self.finished and len(self.buffer) < max(config.demonstrations, config.batch):
             self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
@@ -280,7 +281,8 @@ def _is_better(policy: TrainedPolicy, evaluator: Evaluator) -> bool:
     if not policy.residual:
         return True
     law = evaluator(lambda observation: observation[:, -3:])
-    return evaluator(policy).rank > law.rank
+    # Learning starts from its weights, that is without the fade.
+    return evaluator(dataclasses.replace(policy, quiet=0.0)).rank > law.rank
 
 
 def make_simulations(

@@ -16,11 +16,13 @@ class LearnConfig:
     updates: int = 6_000
     """Parameter updates in all (the paper's M episodes of P steps with U_2 updates each)."""
     least_updates: int = 1_000
-    """Updates after which training may stop early, see `gap`."""
+    """Updates after which training may stop early, see `gap`; the default counts as 0 where
+    learning goes on from a policy."""
     gap: float = 0.05
     """Seconds: stop when arriving from everywhere within this of the least cost, on average."""
     patience: int = 2_500
-    """Updates without a better evaluation after which training stops early."""
+    """Updates without a better evaluation after which training stops early; the default counts as
+    1,000 where learning goes on from a policy."""
     extra_updates: int = 10_000
     """Further updates, at most, if by then no evaluated policy has arrived from every start."""
     envs: int = 64

@@ -24,7 +24,7 @@ from train.flight_recorder import fly
 from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import SHIPPED, TrainedPolicy, digest, start_from
+from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from, weights_file
 from train.presets import PresetName, with_preset, with_slot
 from train.processes import warm_up
 from train.runs import (
@@ -65,7 +65,8 @@ class Args:
     cost: Literal["distance", "time"] = "distance"
     """What lkh and exact minimise: straight distance (the paper), or least time round obstacles."""
     out: Path | None = None
-    """Run folder; default: runs/mission/<scene name>-<order>-seed<N>."""
+    """Run folder; default: runs/mission/<scene name>-<order>-seed<N>, with the preset's name, or
+    `scratch`, before the seed."""
     seed: int = 0
     """Seed of every random stream; each segment gets one of its own from it."""
     device: Literal["cpu", "cuda"] = "cpu"
@@ -130,8 +131,9 @@ def train_mission(args: Args) -> int:
         "retries": args.retries,
         "learn": dataclasses.asdict(args.learn),
     }
+    how = [args.preset] if args.preset else ["scratch"] if args.from_scratch else []
     folder = RunFolder(
-        args.out or default_folder("mission", scene.slug, args.order, f"seed{args.seed}")
+        args.out or default_folder("mission", scene.slug, args.order, *how, f"seed{args.seed}")
     )
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("mission.json") is not None:
@@ -144,6 +146,8 @@ def train_mission(args: Args) -> int:
     say("computing the guidance of every segment")
     guidance = folder.path / "guidance"
     course = Course.mission(scene, order, guidance)
+    if args.weights is not None:
+        check_size(TrainedPolicy.load(weights_file(args.weights)), course)
     if args.ray is not None:
         connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
@@ -182,6 +186,11 @@ def _check(args: Args) -> None:
             raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
     if args.ray is not None:
         need_ray()
+    if args.ray is not None and not args.from_scratch and args.weights not in (None, SHIPPED):
+        raise RunError(
+            f"--weights: {args.weights}: the nodes of --ray have the policy `shipped` only; leave "
+            "one of the two out"
+        )
     if args.from_scratch and args.weights not in (None, SHIPPED):
         raise RunError(f"--weights: {args.weights}: excludes --from-scratch; give one of them")
 
@@ -190,9 +199,10 @@ def _begin_from(args: Args) -> Args:
     """With the settings of the policy to start from, or with none."""
     usual, learn = LearnConfig(), args.learn
     if args.weights == SHIPPED and not args.from_scratch:
+        shipped = TrainedPolicy.load(weights_file(SHIPPED))
         for field in ("observation", "width", "residual"):
-            value = getattr(learn, field)
-            if value != getattr(usual, field):
+            value, own = getattr(learn, field), getattr(shipped, field)
+            if value not in (getattr(usual, field), own):
                 say(f"--{field}: {value}: not that of the policy shipped; learning from scratch")
                 args = dataclasses.replace(args, from_scratch=True)
                 break
@@ -333,8 +343,7 @@ def _finish(folder: RunFolder, args: Args) -> int:
         _film(folder, len(result["order"]))
     notes = _notes(folder, len(result["segments"]))
     scene = Scene.load(folder.path / "scene.json")
-    filmed = (folder.path / "mission.mp4").is_file()
-    folder.write_text("report.md", report(scene, result, filmed, args.plots, notes))
+    folder.write_text("report.md", report(folder, scene, result, args.plots, notes))
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

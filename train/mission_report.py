@@ -112,9 +112,10 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 
 
 def report(
-    scene: Scene, result: dict[str, Any], video: bool, plots: bool, notes: Sequence[str] = ()
+    folder: RunFolder, scene: Scene, result: dict[str, Any], plots: bool, notes: Sequence[str] = ()
 ) -> str:
-    """One page in Markdown: verdict, table of segments, pictures."""
+    """One page in Markdown: verdict, table of segments, and the pictures that the folder holds."""
+    video, learning = ((folder.path / name).is_file() for name in ("mission.mp4", "learning.png"))
     lines = [f"# Mission in {scene.name}", ""]
     if result["success"]:
         lines.append(
@@ -163,7 +164,7 @@ def report(
             "![Top view](path_top.png)",
             "![Speed and acceleration](speed.png)",
         ]
-    if plots and any(entry["updates"] for entry in result["segments"]):
+    if learning:
         lines.append("![Learning curves](learning.png)")
     return "\n".join(lines) + "\n"
 

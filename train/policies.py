@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,18 +18,21 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
 from mjcollect import asset_path
-from mjcollect.observation import SIGNS
+from mjcollect.batch import Simulations
+from mjcollect.course import Course
+from mjcollect.episode import Rules
+from mjcollect.observation import OBSERVATIONS, SIGNS
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
 from train.runs import RunError
 
 SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
-PATIENCE = 1_000  # of learning that goes on from a policy: there is little left to find
+PATIENCE = 1_000  # usual one of learning that goes on from a policy: little is left to find
 # What reading a file that is no policy ends in.
 UNREADABLE = (
-    OSError, RuntimeError, ValueError, LookupError, StopIteration, TypeError,
-    pickle.UnpicklingError, safetensors.SafetensorError,
+    OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,
+    StopIteration, pickle.UnpicklingError, safetensors.SafetensorError,
 )  # fmt: skip
 
 
@@ -77,6 +81,11 @@ class TrainedPolicy:
         return _scale(self.actor.state_dict())
 
     @property
+    def inputs(self) -> int:
+        """Numbers in an observation."""
+        return next(self.actor.parameters()).shape[1]
+
+    @property
     def width(self) -> int:
         """Width of the hidden layers."""
         return len(next(self.actor.parameters()))
@@ -87,8 +96,9 @@ class TrainedPolicy:
             name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
         }
         if path.suffix == ".safetensors":
-            names = {"observation": self.observation, "quiet": repr(self.quiet)}
-            path.write_bytes(safetensors.torch.save(weights, names))
+            # One entry: the order of several is not the same every time.
+            about = json.dumps({"observation": self.observation, "quiet": self.quiet})
+            path.write_bytes(safetensors.torch.save(weights, {"policy": about}))
             return
         # Through memory: on a full disk torch.save itself raises no OSError.
         buffer = io.BytesIO()
@@ -102,14 +112,16 @@ class TrainedPolicy:
         if path.suffix == ".safetensors":
             with safetensors.safe_open(path, "pt") as file:
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                names = file.metadata()
+                names = json.loads(file.metadata()["policy"])
         else:
             saved = torch.load(path, weights_only=True, map_location="cpu")
             weights, names = saved["actor"], saved
         first = next(value for name, value in weights.items() if name.endswith("0.weight"))
+        if names["observation"] not in OBSERVATIONS:
+            raise ValueError(f"observation: {names['observation']}: unknown")
         actor = make_actor(first.shape[1], first.shape[0], _scale(weights))
         actor.load_state_dict(weights)
-        return cls(actor, names["observation"], float(names.get("quiet", 0.0)))
+        return cls(actor, names["observation"], names.get("quiet", 0.0))
 
 
 def _scale(weights: Mapping[str, torch.Tensor]) -> float:
@@ -122,10 +134,16 @@ def weights_file(path: Path) -> Path:
     return asset_path("policies", "generalist.safetensors") if path == SHIPPED else path
 
 
-def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
+def start_from(
+    path: Path, learn: LearnConfig, flag: str = "--weights"
+) -> tuple[TrainedPolicy, LearnConfig]:
     """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
 
-    Its observation and width are taken over, and no update is made where it is good enough.
+    Its observation and width are taken over. Unless `learn` asks for something else than usual, no
+    update is made where it is good enough, and learning ends after `PATIENCE` without gain.
+
+    Args:
+        flag: that named the file.
 
     Raises:
         RunError: there is no such policy, or `learn` asks for another observation or width.
@@ -134,7 +152,7 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
         policy = TrainedPolicy.load(weights_file(path))
     except UNREADABLE as error:
         raise RunError(
-            f"--weights: {path}: holds no policy ({type(error).__name__}); name a "
+            f"{flag}: {path}: holds no policy ({type(error).__name__}); name a "
             "policy.safetensors of train.generalist or a segment's policy.pt"
         ) from None
     usual = LearnConfig()
@@ -142,11 +160,32 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
         asked = getattr(learn, field)
         if asked not in (value, getattr(usual, field)):
             raise RunError(
-                f"--{field}: {asked}: the policy of --weights {path} has {value}; leave one out"
+                f"--{field}: {asked}: the policy of {flag} {path} has {value}; leave one out"
             )
-    patience = min(learn.patience, PATIENCE)
-    learn = replace(learn, observation=policy.observation, width=policy.width)
-    return policy, replace(learn, least_updates=0, patience=patience)
+    least, patience = learn.least_updates, learn.patience
+    return policy, replace(
+        learn,
+        observation=policy.observation,
+        width=policy.width,
+        least_updates=0 if least == usual.least_updates else least,
+        patience=PATIENCE if patience == usual.patience else patience,
+    )
+
+
+def check_size(policy: TrainedPolicy, course: Course, flag: str = "--weights") -> None:
+    """Refuse a policy that takes another number of inputs than its observation has here.
+
+    Raises:
+        RunError: naming the `flag` that named the policy.
+    """
+    simulations = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
+    size, takes = simulations.observe().shape[1], policy.inputs
+    simulations.close()
+    if takes != size:
+        raise RunError(
+            f"{flag}: a policy of {takes} inputs, but the observation {policy.observation} has "
+            f"{size} here; name one of this version and for such scenes, or learn from scratch"
+        )
 
 
 def digest(path: Path) -> str:

@@ -69,8 +69,11 @@ class RunFolder:
         self.path = Path(path)
         self._lock: int | None = None
 
-    def check(self, config: dict[str, Any], *, resume: bool, overwrite: bool) -> None:
+    def check(self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool) -> None:
         """Refuse an unusable folder before any work.
+
+        Args:
+            resume: whether to go on with what is there; None where the program cannot.
 
         Raises:
             RunError: not a folder, not empty without --resume or --overwrite, not writable, or to
@@ -85,14 +88,15 @@ class RunFolder:
                 f"--out: {self.path}: cannot be used ({error.strerror}); choose another folder"
             ) from None
 
-    def _check_usable(self, config: dict[str, Any], resume: bool, overwrite: bool) -> None:
+    def _check_usable(self, config: dict[str, Any], resume: bool | None, overwrite: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
             raise RunError(f"--out: {self.path}: is a file; name a folder")
         if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
             if not resume:
+                go_on = "" if resume is None else "--resume to go on with it, "
                 raise RunError(
-                    f"--out: {self.path}: is not empty; give --resume to go on with it, "
-                    "--overwrite to start anew, or another folder"
+                    f"--out: {self.path}: is not empty; give {go_on}--overwrite to start anew, or "
+                    "another folder"
                 )
             self._check_same(config)
         parent = self.path
@@ -294,11 +298,16 @@ def run_program(
         say(f"error: {error}")
         return BAD_INPUT
     except KeyboardInterrupt:
-        say("interrupted; go on with --resume")
+        say(f"interrupted; {_again(args)}")
         return INTERRUPTED
     except OSError as error:  # a full disk, say: what was written is whole
-        say(f"error: {error}; when mended, go on with --resume")
+        say(f"error: {error}; when mended, {_again(args)}")
         return 1
+
+
+def _again(args: object) -> str:
+    """How to start a program again that was stopped."""
+    return "go on with --resume" if hasattr(args, "resume") else "start again with --overwrite"
 
 
 def progress_bar(total: int, unit: str = "update") -> tqdm:

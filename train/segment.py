@@ -28,7 +28,7 @@ from train.flight_recorder import fly
 from train.learn import Trainer, segment_trainer
 from train.learn_config import LearnConfig
 from train.learning_loop import learn_to_the_end
-from train.policies import TrainedPolicy, digest, start_from
+from train.policies import TrainedPolicy, check_size, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
     INTERRUPTED,
@@ -116,9 +116,8 @@ def train_segment(args: Args) -> int:
         "weights": None if args.weights is None else digest(args.weights),
         "learn": dataclasses.asdict(args.learn),
     }
-    folder = RunFolder(
-        args.out or default_folder("segment", scene.slug, f"segment{index}", f"seed{args.seed}")
-    )
+    name = [f"segment{index}", *([args.preset] if args.preset else []), f"seed{args.seed}"]
+    folder = RunFolder(args.out or default_folder("segment", scene.slug, *name))
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("segment.json") is not None:
         return _report(folder, args.video)
@@ -126,6 +125,8 @@ def train_segment(args: Args) -> int:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
     course = Course.segment(scene, order, index, args.guidance)
+    if policy is not None:
+        check_size(policy, course)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
         return _run(course, order, index, folder, args, policy)

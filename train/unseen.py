@@ -7,6 +7,7 @@ the mission is flown again; a mission that fails all the same is flown by the re
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -91,15 +92,16 @@ def _train(
 ) -> dict[str, Any]:  # fmt: skip
     """segment.json of a training from `weights`."""
     own = RunFolder(folder.path / "segments" / str(failing))
-    course.save_guidance(folder.path / "guidance")
     learn = LearnConfig(updates=finetune, extra_updates=0, eval_every=max(finetune // 10, 1))
-    args = segment.Args(
-        scene=str(folder.path / "scene.json"), order=",".join(map(str, order)), segment=failing,
-        out=own.path, seed=seed, weights=weights, guidance=folder.path / "guidance", video=False,
-        overwrite=True, learn=learn,
-    )  # fmt: skip
-    if segment.train_segment(args) == INTERRUPTED:
-        raise Stopped
+    with tempfile.TemporaryDirectory() as guidance:
+        course.save_guidance(Path(guidance))
+        args = segment.Args(
+            scene=str(folder.path / "scene.json"), order=",".join(map(str, order)),
+            segment=failing, out=own.path, seed=seed, weights=weights, guidance=Path(guidance),
+            video=False, overwrite=True, learn=learn,
+        )  # fmt: skip
+        if segment.train_segment(args) == INTERRUPTED:
+            raise Stopped
     result = own.read_json("segment.json")
     assert result is not None
     return result

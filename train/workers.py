@@ -164,11 +164,11 @@ def need_ray() -> None:
         ) from None
 
 
-def connect_ray(address: str) -> None:
+def connect_ray(address: str, cpus: int = 0) -> None:
     """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
 
     Raises:
-        RunError: no cluster answers there.
+        RunError: no cluster answers there, or it has fewer than `cpus` cores.
     """
     import ray
 
@@ -180,6 +180,13 @@ def connect_ray(address: str) -> None:
         )
     except (ConnectionError, ValueError) as error:
         raise RunError(f"--ray: {address}: {error}; start the cluster, or use --workers") from None
+    there = int(ray.cluster_resources().get("CPU", 0))
+    if there < cpus:  # what is asked beyond it would wait for ever
+        ray.shutdown()
+        raise RunError(
+            f"--shards: {cpus}: the cluster at {address} has {there} cores, one for each shard; "
+            "use fewer"
+        )
 
 
 def _run_packed(

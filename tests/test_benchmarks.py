@@ -1,0 +1,78 @@
+"""What benchmarks make of flights, and which ones they take over from an earlier call."""
+
+import dataclasses
+import json
+
+import pytest
+
+from benchmarks import missions, robustness, unseen
+
+
+def row(pilot, segment, success, level=1.0):
+    return {"pilot": pilot, "kind": "wind", "level": level, "segment": segment, "flights": 4,
+            "success": success, "contacts": 0, "times": [1.1] * success}  # fmt: skip
+
+
+def test_a_difference_is_that_of_the_rates_on_the_same_segments():
+    rows = [row("policy", k, 4) for k in range(30)] + [row("adaptive law", k, 1) for k in range(30)]
+    (found,) = robustness.differences(rows)
+    assert (found["more"], found["low"], found["high"]) == (0.75, 0.75, 0.75)
+    mixed = [row("policy", k, k % 2) for k in range(40)] + [
+        row("adaptive law", k, 0) for k in range(40)
+    ]
+    (found,) = robustness.differences(mixed)
+    # 20 of 40 at a quarter: a standard error of 0.125 / sqrt(40).
+    assert found["more"] == 0.125
+    assert found["high"] - found["low"] == pytest.approx(2 * 1.96 * 0.125 / 40**0.5, rel=0.15)
+
+
+def test_each_segment_counts_once_in_the_time():
+    rows = [row("law", 0, 4), row("law", 1, 1)]
+    rows[0]["times"] = [1.2] * 4
+    (found,) = robustness.summary(rows)
+    assert found["success_rate"] == 5 / 8
+    assert found["time"] == pytest.approx(1.15)
+
+
+def test_flights_of_another_policy_are_not_taken_over(tmp_path):
+    every = tmp_path / "found.flights.json"
+    args = robustness.Args(segments=2)
+    kept = [row(name, robustness.FIRST, 4) for name in ("law", "policy")]
+    saved = {"draws": args.draws, "seed": 0, "policies": {"policy": "another"}, "flights": kept}
+    every.write_text(json.dumps(saved))
+    assert [r["pilot"] for r in robustness.flown_before(every, args)] == ["law"]
+    every.write_text(json.dumps(saved | {"policies": robustness.policies(["policy"])}))
+    assert robustness.flown_before(every, args) == kept
+    assert robustness.flown_before(every, dataclasses.replace(args, pilots=("mpc",))) == []
+    with pytest.raises(SystemExit, match="--draws: 3"):
+        robustness.flown_before(every, dataclasses.replace(args, draws=3))
+
+
+def test_missions_of_another_shipped_policy_are_flown_anew(monkeypatch):
+    """One mission each; its program is replaced."""
+    flown = []
+
+    def run(scene, program, args):
+        flown.append(program[0])
+        return dict.fromkeys(missions.SHOWN, 1.0), {"updates": []}
+
+    monkeypatch.setattr(missions, "run", run)
+    args = missions.Args(floating=1, city=0, items=2, planners=("policy", "shipped"))
+    rows = []
+    missions.missions(args, rows)
+    missions.missions(args, rows)
+    assert flown == ["train.mission", "train.fly"]
+    rows[1]["shipped"] = "another"
+    missions.missions(args, rows)
+    assert flown == ["train.mission", "train.fly", "train.fly"]
+    assert [r["planner"] for r in rows] == ["policy", "shipped"]
+
+
+def test_where_nothing_arrives_there_is_no_time():
+    lost = {"success": False, "contact": True, "time": None}
+    won = {"success": True, "contact": False, "time": 3.0}
+    policy, law = unseen.summary(
+        [{"layout": "city", "detour_time": 2.0, "policy": lost, "law": won}]
+    )
+    assert (policy["arrived"], policy["median"], policy["contacts"]) == (0, None, 1)
+    assert (law["median"], law["worst"]) == (1.5, 1.5)
