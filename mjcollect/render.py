@@ -13,6 +13,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from mjcollect.trajectory import Trajectory
 
 MISSION_SECONDS = 60.0  # a mission's video is sped up to about this length
 RUN_FPS = 25
+LOG_SECONDS = 10.0  # between two states of the progress bar in a log file
 LATER = "python -m mjcollect.render --run"
 
 
@@ -158,11 +160,13 @@ def render_in_child(run_dir: str | os.PathLike[str], *, samples: int = 0) -> str
         stderr=subprocess.PIPE,
     )
     assert child.stderr is not None
-    said = b""
+    said, shown = b"", -math.inf
     try:
         while chunk := os.read(child.stderr.fileno(), 65536):
             said = (said + chunk)[-4000:]
-            if b"\r" in chunk:  # the progress bar; the reason of a failure is returned instead
+            # The progress bar, in a log file now and then; the reason of a failure is returned.
+            if b"\r" in chunk and (sys.stderr.isatty() or time.monotonic() - shown > LOG_SECONDS):
+                shown = time.monotonic()
                 sys.stderr.write(chunk.decode(errors="replace"))
                 sys.stderr.flush()
         code = child.wait()

@@ -130,7 +130,8 @@ def report(
         lines += [f"- {describe(violation)}" for violation in result["violations"]]
     if "planner" in result:
         lines += ["", f"Planner: {result['planner']}."]
-    lines += ["", *(f"- {note}" for note in notes)]
+    if notes:
+        lines += ["", *(f"- {note}" for note in notes)]
     lines += [
         "",
         f"Order ({result['order_method']}): depot, {', '.join(map(str, result['order']))}, depot. "
