@@ -69,9 +69,8 @@ class Disturbances:
         """Prepare for `count` simulations.
 
         Args:
-            level: how strong. vary: it is the greatest; each episode draws shares of it, uniform
-                in [0, 1], by even chance of every kind or of a single one. calm: (N,) where
-                nothing disturbs.
+            level: how strong. vary: it is the greatest; each episode draws a share of it, uniform
+                in [0, 1], of every kind by itself. calm: (N,) where nothing disturbs.
         """
         self.level, self.count, self.rng, self.vary = level, count, rng, vary
         self.calm = np.zeros(count, dtype=bool) if calm is None else calm
@@ -84,10 +83,7 @@ class Disturbances:
     def begin(self, which: NDArray[np.intp], start: Array, goal: Array) -> None:
         """Draw anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
         level, n = self.level, len(which)
-        share = np.ones((6, n)) * ~self.calm[which]
-        if self.vary:
-            alone, single = self.rng.random(n) < 0.5, self.rng.integers(6, size=n)
-            share *= self.rng.random((6, n)) * (~alone | (np.arange(6)[:, None] == single))
+        share = (self.rng.random((6, n)) if self.vary else np.ones((6, n))) * ~self.calm[which]
         angle, sign = 2 * np.pi * self.rng.random(n), self.rng.choice([-1.0, 1.0], n)
         wind = level.wind * share[0]
         self._wind[which] = np.stack([wind * np.cos(angle), wind * np.sin(angle), 0 * wind], axis=1)

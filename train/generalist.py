@@ -49,7 +49,7 @@ HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
 FADE = 0.005  # see `TrainedPolicy.quiet`; of the saved policy, not while it learns
 LEARN = LearnConfig(
-    updates=200_000, least_updates=200_000, patience=200_000, extra_updates=0, envs=128, width=192,
+    updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, width=192,
     buffer=1_000_000, actor_delay=5_000, residual=0.5, law_pull=0.5, noise_min=0.02, noise_max=0.2,
     demonstrations=50_000, guided_until=0.0, eval_every=10_000, eval_episodes=4,
     observation="robust", reward="careful",
