@@ -156,7 +156,7 @@ def missions(args: Args, rows: list[Row]) -> None:
     done = {
         (row["scene"], row["planner"], row["order_method"])
         for row in rows
-        if row.get("shipped") in (None, shipped)
+        if row.get("shipped") == (shipped if row["planner"] in OF_SHIPPED else None)
     }
     for scene in scenes(args):
         todo = [name for name in args.planners if (scene.name, name, args.order) not in done]
