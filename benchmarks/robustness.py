@@ -41,6 +41,7 @@ from train.generalist import DISTURBANCE, HELD_OUT
 from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
 from train.pool import draw_leg
 from train.processes import importing_pool
+from train.reproduction.tables import summary as mean_and_interval
 
 LEVELS: dict[str, tuple[float, ...]] = {
     "wind": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
@@ -62,7 +63,6 @@ COLOURS = {"law": BLUE, "adaptive law": PURPLE, "mpc": ORANGE, "reference": RED,
 LEGEND = {"mpc": "MPC", "reference": "reference, open loop", "policy": "shipped policy"}
 FIRST = HELD_OUT + 10_000  # no policy was chosen by these segments either
 OTHERS = ("reference", "law", "adaptive law", "mpc")  # pilots that are no policies
-RESAMPLES = 2_000  # of the segments, for an interval
 Pilot = Callable[[Simulations], np.ndarray]
 
 
@@ -203,7 +203,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def differences(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """How much more often policies arrive than the adaptive law, in shares, kind by kind.
 
-    With intervals of 95% over the segments, each with all its flights, drawn anew with replacement.
+    With intervals of 95% over the segments, as of every mean in `train.reproduce`.
     """
     rate = {
         (row["pilot"], row["kind"], row["level"], row["segment"]): row["success"] / row["flights"]
@@ -213,16 +213,13 @@ def differences(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for pilot, kind, level in dict.fromkeys(key[:3] for key in rate if key[0] not in OTHERS):
         own = [key for key in rate if key[:3] == (pilot, kind, level)]
         pairs = [(rate[key], rate.get(("adaptive law", *key[1:]))) for key in own]
-        gain = np.array([mine - law for mine, law in pairs if law is not None])
-        if not len(gain):
+        gain = mean_and_interval([mine - law for mine, law in pairs if law is not None])
+        if not gain["n"]:
             continue
-        rng = np.random.default_rng(0)
-        means = gain[rng.integers(len(gain), size=(RESAMPLES, len(gain)))].mean(axis=1)
-        low, high = np.quantile(means, [0.025, 0.975])
         found.append(
             {
-                "pilot": pilot, "kind": kind, "level": level, "segments": len(gain),
-                "more": float(gain.mean()), "low": float(low), "high": float(high),
+                "pilot": pilot, "kind": kind, "level": level, "segments": gain["n"],
+                "more": gain["mean"], "low": gain["low"], "high": gain["high"],
             }
         )  # fmt: skip
     return found
@@ -325,7 +322,7 @@ def main(args: Args) -> int:
     """Fly, count, draw."""
     every = None if args.out is None else args.out.with_suffix(".flights.json")
     rows, drawn = flown_before(every, args), {"draws": args.draws, "seed": args.seed}
-    drawn |= {"policies": policies(args.pilots)}
+    flown = policies(args.pilots)
     done = {(row["segment"], row["pilot"]) for row in rows}
     jobs = [
         (number, names)
@@ -335,12 +332,12 @@ def main(args: Args) -> int:
     with importing_pool(args.workers) as pool:
         for found in tqdm(pool.map(partial(one_segment, args), jobs), total=len(jobs)):
             rows += found
-            save(every, {**drawn, "flights": rows})
+            save(every, {**drawn, "policies": flown, "flights": rows})
     rows.sort(key=lambda row: args.pilots.index(row["pilot"]))
     found = summary(rows)
     save(
         args.out,
-        {"policies": policies(args.pilots), "summary": found, "differences": differences(rows)},
+        {"policies": flown, "summary": found, "differences": differences(rows)},
         arguments=json.loads(json.dumps(asdict(args), default=str)),
     )
     if args.figure is not None:

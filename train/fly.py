@@ -8,7 +8,6 @@ python -m train.fly --run DIR
 from __future__ import annotations
 
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from train.runs import (
     INTERRUPTED,
     RunError,
     RunFolder,
+    check_writable,
     default_folder,
     run_program,
     say,
@@ -108,7 +108,7 @@ def fly_mission(args: Args) -> int:
     }
     folder.check(config, overwrite=args.overwrite)
     if args.guidance is not None:
-        _check_guidance(args.guidance)
+        check_writable(args.guidance, "--guidance")
     course = Course.mission(scene, order, args.guidance)
     if args.guidance is not None:
         course.save_guidance(args.guidance)
@@ -145,22 +145,6 @@ def fly_mission(args: Args) -> int:
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course)
     return _finish(folder, course, order, method, flight, trained, seed, args, notes)
-
-
-def _check_guidance(folder: Path) -> None:
-    """Refuse a folder that cannot be written to, before any work.
-
-    Raises:
-        RunError: it is a file, or not writable.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise RunError(
-            f"--guidance: {folder}: cannot be used ({error.strerror}); choose another folder"
-        ) from None
 
 
 def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:

@@ -109,7 +109,7 @@ def main(argv: list[str] | None = None) -> int:
 def train_mission(args: Args) -> int:
     """Order, learn, fly, judge, draw. Raises only before anything is written."""
     _check(args)
-    args = _begin_from(args)
+    args, policy = _begin_from(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
@@ -146,8 +146,8 @@ def train_mission(args: Args) -> int:
     say("computing the guidance of every segment")
     guidance = folder.path / "guidance"
     course = Course.mission(scene, order, guidance)
-    if args.weights is not None:
-        check_size(TrainedPolicy.load(weights_file(args.weights)), course)
+    if policy is not None:
+        check_size(policy, course)
     if args.ray is not None:
         connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
@@ -195,8 +195,8 @@ def _check(args: Args) -> None:
         raise RunError(f"--weights: {args.weights}: excludes --from-scratch; give one of them")
 
 
-def _begin_from(args: Args) -> Args:
-    """With the settings of the policy to start from, or with none."""
+def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
+    """With the settings of the policy to start from, and that policy; or with none."""
     usual, learn = LearnConfig(), args.learn
     if args.weights == SHIPPED and not args.from_scratch:
         shipped = TrainedPolicy.load(weights_file(SHIPPED))
@@ -207,8 +207,9 @@ def _begin_from(args: Args) -> Args:
                 args = dataclasses.replace(args, from_scratch=True)
                 break
     if args.from_scratch or args.weights is None:
-        return dataclasses.replace(args, weights=None)
-    return dataclasses.replace(args, learn=start_from(args.weights, learn)[1])
+        return dataclasses.replace(args, weights=None), None
+    policy, learn = start_from(args.weights, learn)
+    return dataclasses.replace(args, learn=learn), policy
 
 
 def _segment_folder(folder: RunFolder, index: int) -> RunFolder:

@@ -57,6 +57,30 @@ class RunError(Exception):
     """The run cannot start as asked. The message names the field, the value and the fix."""
 
 
+def check_writable(folder: Path, flag: str) -> None:
+    """Refuse a folder, there or not yet, that cannot be written to, before any work.
+
+    Raises:
+        RunError: naming the `flag` that named the folder.
+    """
+    with _usable(folder, flag):
+        parent = folder
+        while not parent.exists():
+            parent = parent.parent
+        with tempfile.TemporaryFile(dir=parent) as file:  # a full disk takes an empty file
+            file.write(bytes(SPACE))
+
+
+@contextlib.contextmanager
+def _usable(folder: Path, flag: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RunError(
+            f"{flag}: {folder}: cannot be used ({error.strerror}); choose another folder"
+        ) from None
+
+
 class RunFolder:
     """One run's folder.
 
@@ -81,12 +105,9 @@ class RunFolder:
         """
         if resume and overwrite:
             raise RunError("--resume and --overwrite exclude each other: give one of them")
-        try:
+        with _usable(self.path, "--out"):
             self._check_usable(config, resume, overwrite)
-        except OSError as error:
-            raise RunError(
-                f"--out: {self.path}: cannot be used ({error.strerror}); choose another folder"
-            ) from None
+        check_writable(self.path, "--out")
 
     def _check_usable(self, config: dict[str, Any], resume: bool | None, overwrite: bool) -> None:
         if self.path.exists() and not self.path.is_dir():
@@ -99,11 +120,6 @@ class RunFolder:
                     "another folder"
                 )
             self._check_same(config)
-        parent = self.path
-        while not parent.exists():
-            parent = parent.parent
-        with tempfile.TemporaryFile(dir=parent) as file:  # a full disk takes an empty file
-            file.write(bytes(SPACE))
 
     def _check_same(self, config: dict[str, Any]) -> None:
         saved = self.read_json("config.json")
