@@ -224,7 +224,7 @@ def main(args: Args) -> None:
     order = plan_order(scene, "lkh")
     course = Course.segment(scene, order, first_blocked(scene, order))
     # Without the guidance law in the policy, which alone arrives from every start: both learn all.
-    config = LearnConfig(threads=args.threads, residual=0.0, actor_delay=0)
+    config = LearnConfig(threads=args.threads, actor_delay=0)
     warm_up(course, config)
     results = []
     for seed in args.seeds:

@@ -14,7 +14,6 @@ from mjcollect.bounds import detour_bound
 from mjcollect.compiled import plain
 from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance
-from mjcollect.racing_line import racing_line
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
 
@@ -75,9 +74,7 @@ class Course:
         saved = None if self.folder is None else guidance_file.load(self.folder, *leg)
         if saved is not None:
             return saved
-        guide = Guidance(*leg)
-        guide.way = guide.way._replace(line=racing_line(guide))
-        return guide
+        return Guidance(*leg)
 
     def save_guidance(self, folder: Path) -> None:
         """Write the guidance into files in `folder`, for a course of the same legs to load.

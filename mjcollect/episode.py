@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from mjcollect import adaptation, kernels
 from mjcollect.course import Course
 from mjcollect.disturbance import MARGIN, REST_SPEED, Disturbances
-from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge
+from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge, shield
 from mjcollect.geometry import FAR, Array
-from mjcollect.guidance import Way
 from mjcollect.observation import ADAPTIVE, OBSERVATIONS, Parts, State
 from mjcollect.reward import PRESETS, Approach
 
@@ -33,6 +32,8 @@ SAVED = (
     "collected",
     "steps",
     "crashed",
+    "held",
+    "left",
 )  # an episode's state
 GAMMA = 0.99  # discount per slot, also that of the learner
 
@@ -48,6 +49,7 @@ class Rules:
     observation: str = "guided"
     reward: str = "time"
     gamma: float = GAMMA
+    shield: bool = True
 
     def __post_init__(self) -> None:
         """Check the names."""
@@ -144,6 +146,8 @@ class Episodes:
         self.steps = np.zeros(count, dtype=np.int64)
         self.crashed = np.zeros(count, dtype=bool)
         self._stop = np.zeros(count, dtype=bool)
+        self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
+        self.shielded = np.zeros(count, dtype=bool)
         self._all = np.arange(count)
         self._notice()
         self._approach = self._look()
@@ -173,6 +177,7 @@ class Episodes:
         self.collected[which] = self._before[which]
         self.steps[which] = 0
         self.crashed[which] = False
+        self.left[which] = 0
         self._notice()
         self._look_anew(self._approach, which)
 
@@ -187,6 +192,11 @@ class Episodes:
         """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
         goal, tolerance = self._goal[self.target], self._tolerance[self.target]
         self.commanded, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
+        if self.rules.shield:
+            shield(
+                self._noticed, self.q, self.v, self.commanded, self._stop, self.held, self.left,
+                self.shielded,
+            )  # fmt: skip
         return self.commanded
 
     def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
@@ -271,7 +281,16 @@ class Episodes:
 
         With an adaptive observation, for the acceleration that is left, and against the push.
         """
-        return self._approach.law
+        law = np.empty((self.count, 3))
+        for target, mine in self._by_target(self._all):
+            guide = self._guidance[target]
+            kernels.law(
+                self._noticed, guide.way, guide.slack, mine, guide.goal, self.q, self.v, law
+            )
+        if self._adapts:
+            law *= adaptation.usable(self._gain, self._push)
+            law = adaptation.counter(law, self._gain, self._push)
+        return law
 
     def _notice(self) -> None:
         """Bring up to date what is known of disturbances: the world as decisions see it."""
@@ -295,7 +314,6 @@ class Episodes:
             returning=np.empty(self.count, dtype=bool),
             ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
             slack=np.empty(self.count),
-            law=np.empty((self.count, 3)),
             onward=np.zeros(self.count),
         )
         self._look_anew(approach, self._all)
@@ -304,43 +322,25 @@ class Episodes:
     def _look_anew(self, approach: Approach, which: NDArray[np.intp]) -> None:
         """Write the rows `which` of an approach."""
         for target, mine in self._by_target(which):
-            for rows, way in self._ways(target, mine):
-                kernels.look(
-                    self._noticed,
-                    way,
-                    self._guidance[target].slack,
-                    rows,
-                    self._goal[target],
-                    LOOK_AHEAD,
-                    self.q,
-                    self.v,
-                    approach.offset,
-                    approach.distance,
-                    approach.direction,
-                    approach.closing,
-                    approach.ahead,
-                    approach.law,
-                )
-            approach.slack[mine] = self._guidance[target].slack
-            beyond = self._guidance[target].beyond
-            if beyond is not None:
-                extra = np.linalg.norm(self._goal[target] - beyond)
-                approach.onward[mine] = np.linalg.norm(self.q[mine] - beyond, axis=-1) - extra
+            guide = self._guidance[target]
+            kernels.look(
+                guide.way,
+                mine,
+                guide.goal,
+                LOOK_AHEAD,
+                self.q,
+                self.v,
+                approach.offset,
+                approach.distance,
+                approach.direction,
+                approach.closing,
+                approach.ahead,
+            )
+            approach.slack[mine] = guide.slack
+            if guide.beyond is not None:
+                extra = np.linalg.norm(guide.goal - guide.beyond)
+                approach.onward[mine] = np.linalg.norm(self.q[mine] - guide.beyond, axis=-1) - extra
             approach.returning[mine] = self._node[target] < 0
-        if self._adapts:
-            gain, push = self._gain[which], self._push[which]
-            law = approach.law[which] * adaptation.usable(gain, push)
-            approach.law[which] = adaptation.counter(law, gain, push)
-
-    def _ways(self, target: int, which: NDArray[np.intp]) -> Iterator[tuple[NDArray[np.intp], Way]]:
-        """The episodes `which` with their way: its line was planned without a moving box."""
-        way = self._guidance[target].way
-        if self.disturbances is None:
-            yield which, way
-            return
-        crossed = self.disturbances.movers.speed[which] > 0.0
-        yield which[~crossed], way
-        yield which[crossed], way._replace(line=way.line[:0])
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """The episodes `which` in groups with the same current target."""

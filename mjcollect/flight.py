@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect import kernels
-from mjcollect.compiled import plain
+from mjcollect.compiled import Indices, plain
 from mjcollect.geometry import EMPTY_BOX, Array
 from mjcollect.scene import Scene
 
@@ -149,6 +149,21 @@ def command(
         world, plain(q), plain(v), plain(action), plain(goal), plain(tolerance), a, stop
     )
     return a, stop
+
+
+def shield(
+    world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
+    acted: Bools,
+) -> None:  # fmt: skip
+    """Bend commands that leave no way to stop without touching anything, see `kernels.shield`.
+
+    Args:
+        q, v: (N, 3). a: (N, 3) m/s^2, feasible commands; changed where the shield acts.
+        stop: (N,) whether they are the stop that collects; cleared where the shield acts.
+        held, left: (N, 3), (N,) the backup of the slot before, and that of this one afterwards.
+        acted: (N,) set to whether the command was changed.
+    """
+    kernels.shield(world, plain(q), plain(v), a, stop, held, left, acted)
 
 
 def contacts(world: World, path: Array, sensed: Bools) -> Bools:

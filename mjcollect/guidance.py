@@ -48,7 +48,6 @@ class Way(NamedTuple):
         low, spacing: (F, 3) m. nodes: (F, 3), nodes along each axis.
         stop: (4,) where a stop is best for the tour, and the radius in m of the ball around the
             goal in which a stop is free; 0 if it is not free all around.
-        line: (L, 7) states to follow, see `racing_line`; none to begin with.
         first: (F,) index of each field's first node in `values` (V,), in metres.
     """
 
@@ -63,7 +62,6 @@ class Way(NamedTuple):
     first: NDArray[np.int64]
     values: NDArray[np.float32]
     stop: Array
-    line: Array
 
 
 class Guidance:
@@ -108,7 +106,6 @@ class Guidance:
         self.way = Way(
             **Waypoints.of(scene, self.path, ways)._asdict(),
             stop=self._best_stop(),
-            line=np.empty((0, 7)),
             low=np.stack([field.low for field in fields]),
             spacing=np.stack([field.h for field in fields]),
             nodes=np.array([field.filled.shape for field in fields], dtype=np.int64),

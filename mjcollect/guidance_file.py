@@ -31,11 +31,9 @@ def file_name(scene: Scene, node: int, start: Array, beyond: Array | None = None
 
 @cache
 def _code() -> str:
-    """Digest of the package: racing lines come of flights by its rules."""
+    """Digest of the package's modules and kernels: whatever guidance is built by is among them."""
     here = Path(__file__).parent
-    return compiled.digest(
-        [*here.glob("*.py"), *here.glob("kernels/*.py"), *here.glob("planners/*.py")]
-    )
+    return compiled.digest([*here.glob("*.py"), *here.glob("kernels/*.py")])
 
 
 def save(built: Guidance, folder: Path) -> Path:

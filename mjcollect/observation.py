@@ -1,7 +1,7 @@
 """The named observations, vectorised over N simulations.
 
 `guided`, the default, works for any number of obstacles and items. `robust` adds what kept the
-flight from its commands, and the law adapts to it. `paper` is the state S = {q, v, l, m, p} of the
+flight from its commands,. `paper` is the state S = {q, v, l, m, p} of the
 paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
@@ -73,7 +73,6 @@ def guided(world: World, state: State) -> Parts:
         "braking": 4,
         "boxes": 3 * NEAREST_BOXES,
         "walls": 6,
-        "guide_action": 3,
     }
     flat = np.empty((len(state.q), sum(widths.values())))
     kernels.guided(
@@ -86,7 +85,6 @@ def guided(world: World, state: State) -> Parts:
         approach.closing,
         approach.ahead,
         approach.slack,
-        approach.law,
         NEAREST_BOXES,
         REACH,
         FAR,
@@ -116,12 +114,11 @@ def paper(world: World, state: State) -> Parts:
 
 
 def robust(world: World, state: State) -> Parts:
-    """`guided`, a moving box, the last slot's command and drift, and what adapts the law.
+    """`guided`, a moving box, the last slot's command and drift and estimates of it.
 
     Accelerations are in units of what is left of a_max, see `adaptation.usable`.
     """
     parts = guided(world, state)
-    law = parts.pop("guide_action")
     return {
         **parts,
         "command": state.commanded / world.a_max,
@@ -129,11 +126,8 @@ def robust(world: World, state: State) -> Parts:
         "drift": state.drift / world.a_max,
         "gain": state.gain,
         "push": state.push,
-        "guide_action": law,
     }
 
 
 OBSERVATIONS = {"guided": guided, "paper": paper, "robust": robust}
-WITH_LAW = ("guided", "robust")  # end with an action that the policy can correct
-ADAPTIVE = ("robust",)  # that action adapts to disturbances
-SIGNS = slice(-16, -3)  # where an adaptive observation shows them: mover, drift, gain, push
+ADAPTIVE = ("robust",)  # the guidance law adapts to the disturbances that they show

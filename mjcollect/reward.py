@@ -50,7 +50,6 @@ class Approach:
         returning: (N,) whether the target is the depot.
         ahead: (N, A, 3) from the body to points farther along the path.
         slack: (N,) metres by which a stop may miss the end of the path, along it.
-        law: (N, 3) actions of the guidance law.
         onward: (N,) metres by which the tour's next target is farther from the body than from the
             current target; 0 where the tour ends.
     """
@@ -62,7 +61,6 @@ class Approach:
     returning: Bools
     ahead: Array
     slack: Array
-    law: Array
     onward: Array
 
 

@@ -18,7 +18,6 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.modules import MLP, TanhModule, ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
-QUIET = 0.02  # size of the signs of a disturbance at which the pull to the law is half as strong
 # What a transition {S, A, R, S', D'} is stored as.
 KEYS = (
     "observation",
@@ -30,31 +29,8 @@ KEYS = (
 )
 
 
-class AddPrior(nn.Module):
-    """The action of a prior, the last three of an observation, plus a scaled correction.
-
-    A residual policy (Silver et al. 2018, Johannink et al. 2019): what is learned is what the
-    guidance law leaves to be gained. The sum may leave [-1, 1]; the environment projects it.
-    """
-
-    scale: torch.Tensor
-
-    def __init__(self, scale: float) -> None:
-        """Prepare for corrections of at most `scale` along an axis."""
-        super().__init__()
-        self.register_buffer("scale", torch.tensor(scale))
-
-    def forward(self, observation: torch.Tensor, correction: torch.Tensor) -> torch.Tensor:
-        """Action (..., 3) for an observation (..., D) and a correction (..., 3) in [-1, 1]."""
-        return observation[..., -3:] + self.scale * correction
-
-
-def make_actor(observation_size: int, width: int, residual: float = 0.0) -> TensorDictSequential:
-    """Policy pi(S; theta): observation (..., D) -> action (..., 3), 1 = a_max.
-
-    With `residual` > 0 a correction of at most that, zero at first, of the action that the
-    observation ends with; else an action in [-1, 1].
-    """
+def make_actor(observation_size: int, width: int) -> TensorDictSequential:
+    """Policy pi(S; theta): observation (..., D) -> action (..., 3) in [-1, 1], 1 = a_max."""
     net = MLP(
         in_features=observation_size,
         out_features=3,
@@ -63,15 +39,9 @@ def make_actor(observation_size: int, width: int, residual: float = 0.0) -> Tens
         norm_class=nn.LayerNorm,
         norm_kwargs=[{"normalized_shape": width}] * 2,
     )
-    shrink_last(net, 0.0 if residual else 0.1)
+    shrink_last(net)
     made = TensorDictModule(net, in_keys=["observation"], out_keys=["param"])
-    if not residual:
-        return TensorDictSequential(made, TanhModule(in_keys=["param"], out_keys=["action"]))
-    return TensorDictSequential(
-        made,
-        TanhModule(in_keys=["param"], out_keys=["correction"]),
-        TensorDictModule(AddPrior(residual), ["observation", "correction"], ["action"]),
-    )
+    return TensorDictSequential(made, TanhModule(in_keys=["param"], out_keys=["action"]))
 
 
 def make_critic(observation_size: int, width: int) -> ValueOperator:
@@ -126,9 +96,6 @@ class BaseLearner:
         total_updates: int,
         average_rate: float = 0.002,
         optimizer: str = "adam",
-        residual: float = 0.0,
-        law_pull: float = 0.0,
-        signs: slice | None = None,
         actor_delay: int = 0,
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
@@ -136,15 +103,12 @@ class BaseLearner:
         """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs.
 
         Args:
-            law_pull: weight of the mean square correction in the actor's loss. signs: columns of
-                an observation that show disturbances, where it falls.
             weights: state of an actor of this size to start from.
         """
         self.device = device
         self.kind = optimizer
-        self.residual, self._delay = residual, actor_delay
-        self.law_pull, self._signs = law_pull if residual else 0.0, signs
-        self.actor = make_actor(observation_size, width, residual).to(device)
+        self._delay = actor_delay
+        self.actor = make_actor(observation_size, width).to(device)
         if weights is not None:
             self.actor.load_state_dict(weights)
         self.critic = make_critic(observation_size, width).to(device)
@@ -160,13 +124,6 @@ class BaseLearner:
         share = min(self.updates / max(self._total, 1), 1.0)
         factor = 1.0 + (self._final_rate - 1.0) * share
         return self._rates[0] * factor, self._rates[1] * factor * (self.updates >= self._delay)
-
-    def pull(self, observation: torch.Tensor) -> torch.Tensor:
-        """Weight (n, 1) of the square correction at observations (n, D)."""
-        if self._signs is None:
-            return torch.full_like(observation[:, :1], self.law_pull)
-        seen = observation[:, self._signs].norm(dim=1, keepdim=True)
-        return self.law_pull * QUIET / (QUIET + seen)
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""
@@ -206,18 +163,9 @@ class Learner(BaseLearner):
             self.kind, self.loss.value_network_params.flatten_keys().values()
         )
 
-    def losses(self, batch: TensorDictBase) -> TensorDictBase:
-        """`loss_value` and `loss_actor` of a batch, the latter with the pull to the law."""
-        losses: TensorDictBase = self.loss(batch)
-        if self.law_pull:
-            correction = self.actor(batch.select("observation"))["correction"]
-            pull = self.pull(batch["observation"]) * correction.square()
-            losses["loss_actor"] = losses["loss_actor"] + pull.mean()
-        return losses
-
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
         """One critic, actor and target update on a batch of transitions; the two losses."""
-        losses = self.losses(batch)
+        losses = self.loss(batch)
         optimizers = (self.critic_optimizer, self.actor_optimizer)
         for optimizer, rate in zip(optimizers, self.rates, strict=True):
             optimizer.param_groups[0]["lr"] = rate

@@ -11,8 +11,9 @@ import numpy as np
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import Disturbances
-from mjcollect.episode import Rules
-from mjcollect.racing_line import least_slots
+from mjcollect.flight import World
+from mjcollect.guidance import Guidance
+from mjcollect.reward import time_to_go
 from train.learn_config import LearnConfig
 
 
@@ -75,7 +76,7 @@ class Evaluator:
         self.sims = Simulations(
             [courses[0]] if len(courses) == 1 else [c for c in courses for _ in range(each)],
             len(courses) * each,
-            rules=Rules(config.observation, config.reward, config.gamma),
+            rules=config.rules,
             threads=config.threads,
             disturbances=disturbances,
         )
@@ -139,3 +140,13 @@ def _least_time(course: Course, q: np.ndarray) -> float:
     scene, guide = course.scene, course.guidance[0]
     saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
     return float(least_slots(guide, q).mean()) * scene.slot - saved
+
+
+def least_slots(guide: Guidance, q: np.ndarray) -> np.ndarray:
+    """Estimate (N,) of the least slots from rest at q (N, 3): along the way, into the ball."""
+    world = World.stack([guide.scene])
+    beside = float(np.linalg.norm(guide.aim - guide.goal))
+    distance, _ = guide.query(q)
+    distance = np.maximum(distance - max(guide.tolerance - beside, 0.0), 0.0)
+    time = time_to_go(world, distance, np.zeros(len(q)))
+    return np.asarray(np.ceil(time / world.slot - 1e-6))

@@ -47,10 +47,9 @@ from train.workers import connect_ray, need_ray
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
-FADE = 0.005  # see `TrainedPolicy.quiet`; of the saved policy, not while it learns
 LEARN = LearnConfig(
     updates=300_000, least_updates=300_000, patience=300_000, extra_updates=0, envs=128, width=192,
-    buffer=1_000_000, actor_delay=5_000, residual=0.5, law_pull=0.5, noise_min=0.02, noise_max=0.2,
+    buffer=1_000_000, actor_delay=5_000, noise_min=0.02, noise_max=0.2,
     demonstrations=50_000, guided_until=0.0, eval_every=10_000, eval_episodes=4,
     observation="robust", reward="careful",
 )  # fmt: skip
@@ -118,9 +117,7 @@ class Generalist:
         disturbances = Disturbances(args.disturbance, len(calm), rng, vary=True, calm=calm)
         evaluator = Evaluator(courses, config, seed, disturbances, FAILURE_SECONDS)
         self.rotation = 0
-        self.trainer = Trainer(
-            self._simulations(), evaluator, config, seed, config.residual, args.device
-        )
+        self.trainer = Trainer(self._simulations(), evaluator, config, seed, args.device)
 
     def _simulations(self) -> Fleet:
         """Simulations on this rotation's segments."""
@@ -247,8 +244,6 @@ def _check(args: Args) -> None:
             f"--observation: {args.learn.observation}: does not show disturbances; use "
             f"{' or '.join(ADAPTIVE)}"
         )
-    if args.learn.residual == 0.0:
-        raise RunError("--residual: 0: this policy corrects the law; use a number above 0, up to 1")
 
 
 def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
@@ -297,17 +292,13 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
     assert trainer.best is not None
     assert trainer.best_policy is not None
     trainer.learner.actor.load_state_dict(trainer.best_policy)
-    # In calm air there is nothing to gain on the law, so what errors the correction has go.
-    policy = dataclasses.replace(trainer.policy, quiet=FADE)
-    held_out = trainer.evaluator(policy)
-    folder.write("policy.safetensors", policy.save)
+    folder.write("policy.safetensors", trainer.policy.save)
     columns = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
     folder.write("learning.png", lambda part: plot_learning(part, columns))
     folder.write_json(
         "generalist.json",
         {
-            "held_out": _finite(dataclasses.asdict(held_out)),
-            "without_quiet": _finite(dataclasses.asdict(trainer.best)),
+            "held_out": _finite(dataclasses.asdict(trainer.best)),
             "law": _finite({"success_rate": trainer.rows[0]["eval_success_rate"],
                             "point_time": trainer.rows[0]["eval_time"],
                             "mean_time": trainer.rows[0]["eval_mean_time"]}),

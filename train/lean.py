@@ -161,12 +161,11 @@ class LeanLearner(BaseLearner):
     ) -> tuple[Tensor, Tensor]:
         """Write both gradients, at the same parameters; the two losses."""
         n = len(s)
-        a_next = self._add_prior(s_next, forward(self._target_actor, s_next)[0].tanh_())
+        a_next = forward(self._target_actor, s_next)[0].tanh_()
         q_next = forward(self._target_critic, torch.cat([s_next, a_next], 1))[0]
         u = torch.addcmul(r, discount, q_next)
-        output, actor_records = forward(self._actor, s)
-        output.tanh_()
-        action = self._add_prior(s, output)
+        action, actor_records = forward(self._actor, s)
+        action.tanh_()
         # One pass of the critic for both losses: q(S, A) in the first n rows, q(S, pi(S)) below.
         both = torch.cat([torch.cat([s, a], 1), torch.cat([s, action], 1)])
         q, critic_records = forward(self._critic, both)
@@ -174,22 +173,9 @@ class LeanLearner(BaseLearner):
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        slope = 1 - output * output  # derivative of tanh
-        d = d_action * slope
-        if self.residual:
-            d *= self.residual
-        if self.law_pull:
-            pull = self.pull(s) * output
-            d += pull * slope * (2 / output.numel())
+        d = d_action * (1 - action * action)  # derivative of tanh
         backward(self._actor, self._gradients[1], actor_records, d, n)
-        actor_loss = -q[n:].mean()
-        if self.law_pull:
-            actor_loss = actor_loss + (pull * output).mean()
-        return error.square().mean(), actor_loss
-
-    def _add_prior(self, s: Tensor, output: Tensor) -> Tensor:
-        """As `ddpg.AddPrior`, where there is one."""
-        return s[:, -3:] + self.residual * output if self.residual else output
+        return error.square().mean(), -q[n:].mean()
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, targets, average, optimiser and the number of updates."""

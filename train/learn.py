@@ -15,8 +15,6 @@ from tensordict import TensorDict, TensorDictBase
 from mjcollect.batch import BatchedFlightEnv, Fleet, Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import Disturbances
-from mjcollect.episode import Rules
-from mjcollect.observation import ADAPTIVE, SIGNS, WITH_LAW
 from train.ddpg import make_buffer, transitions
 from train.evaluation import Evaluation, Evaluator, stream
 from train.lean import LEARNERS
@@ -45,7 +43,6 @@ class Trainer:
         evaluator: Evaluator,
         config: LearnConfig,
         seed: int,
-        residual: float,
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
@@ -53,7 +50,6 @@ class Trainer:
 
         Args:
             simulations: `config.envs` of them, to learn in. evaluator: chooses what is kept.
-            residual: the correction of the law in force; 0 for actions of the policy's own.
             weights: state of an actor to start from.
         """
         self.config, self.seed, self.device = config, seed, device
@@ -72,9 +68,6 @@ class Trainer:
             average_rate=config.average_rate,
             optimizer=config.optimizer,
             total_updates=config.updates,
-            residual=residual,
-            law_pull=config.law_pull,
-            signs=SIGNS if config.observation in ADAPTIVE else None,
             actor_delay=config.actor_delay,
             device=device,
             weights=weights,
@@ -82,7 +75,7 @@ class Trainer:
         self._taught = weights is not None
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
         self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
-        scale = torch.linspace(config.noise_min, config.noise_max, config.envs) * (residual or 1.0)
+        scale = torch.linspace(config.noise_min, config.noise_max, config.envs)
         self._scale = scale[torch.randperm(config.envs, generator=self.noise)][:, None]
         self._guided = torch.arange(config.envs) < round(config.guided_share * config.envs)
         self.env_steps = self.episodes = 0
@@ -107,8 +100,8 @@ class Trainer:
     def run(self) -> Iterator[int]:
         """Train to the end of the budget, yielding the number of updates after each round."""
         config = self.config
-        if not self.rows and (self.learner.residual or self._taught):
-            self._evaluate()  # the flight of law or weights: what is learned must beat it
+        if not self.rows and self._taught:
+            self._evaluate()  # what it begins from: what is learned must beat it
             self.finished = self._spent  # what begins from a policy may be good enough
         while not self.finished and len(self.buffer) < max(config.demonstrations, config.batch):
             self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
@@ -265,24 +258,16 @@ def segment_trainer(
     """A trainer for a course of one leg.
 
     Args:
-        policy: to start from, of the observation and width of `config`, if it is better here than
-            the law; else learning starts from the law alone.
+        policy: to start from, of the observation and width of `config`.
     """
-    simulations = make_simulations([course], config, seed)
-    evaluator = Evaluator([course], config, seed)
-    residual, weights = _residual(evaluator, config), None
-    if policy is not None and _is_better(policy, evaluator):
-        residual, weights = policy.residual, policy.actor.state_dict()
-    return Trainer(simulations, evaluator, config, seed, residual, device, weights)
-
-
-def _is_better(policy: TrainedPolicy, evaluator: Evaluator) -> bool:
-    """Whether a policy is better than the law that it corrects, if it does."""
-    if not policy.residual:
-        return True
-    law = evaluator(lambda observation: observation[:, -3:])
-    # Learning starts from its weights, that is without the fade.
-    return evaluator(dataclasses.replace(policy, quiet=0.0)).rank > law.rank
+    return Trainer(
+        make_simulations([course], config, seed),
+        Evaluator([course], config, seed),
+        config,
+        seed,
+        device,
+        None if policy is None else policy.actor.state_dict(),
+    )
 
 
 def make_simulations(
@@ -295,18 +280,9 @@ def make_simulations(
     return Simulations(
         courses,
         config.envs,
-        rules=Rules(config.observation, config.reward, config.gamma),
+        rules=config.rules,
         start="spread",
         rng=np.random.default_rng(stream(seed, "start")),
         threads=config.threads,
         disturbances=disturbances,
     )
-
-
-def _residual(evaluator: Evaluator, config: LearnConfig) -> float:
-    """The correction in force: larger where the guidance law leaves much to be gained."""
-    if config.observation not in WITH_LAW or config.residual == 0.0:
-        return 0.0
-    law = evaluator(lambda _: evaluator.sims.episodes.guidance_action())
-    hard = not law.mean_cost <= evaluator.least + config.hard_gap
-    return config.hard_residual if hard or law.success_rate < 1.0 else config.residual

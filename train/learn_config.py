@@ -39,16 +39,6 @@ class LearnConfig:
     """Width of the two hidden layers of actor and critic."""
     learner: Literal["lean", "torchrl"] = "lean"
     """How updates are computed: hand-written gradients, or TorchRL's DDPGLoss; same numbers."""
-    residual: float = 0.3
-    """Greatest correction of the guidance law that the policy learns; 0: actions of its own, as
-    always with the paper's observation, which does not show the law's."""
-    hard_residual: float = 0.6
-    """The same where the law is slower than `hard_gap`."""
-    hard_gap: float = 1.0
-    """Seconds that the law needs beyond the least time, on average, in a hard segment."""
-    law_pull: float = 0.0
-    """Weight of the mean square correction, as a share of the greatest, in the actor's loss; with
-    the observation `robust` it falls where a disturbance is seen."""
     optimizer: Literal["adam", "sgd"] = "adam"
     """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
     actor_delay: int = 300
@@ -68,8 +58,8 @@ class LearnConfig:
     flown: Literal["best", "last"] = "best"
     """Which evaluated policy is flown: the best, or the last as in Algorithm 1."""
     noise_min: float = 0.05
-    """Standard deviation of the Gaussian action noise in the calmest simulation, as a share of the
-    correction in force, or of a_max where there is none."""
+    """Standard deviation of the Gaussian action noise in the calmest simulation, as a share of
+    a_max."""
     noise_max: float = 0.3
     """The same in the wildest; the others lie between."""
     demonstrations: int = 10_000
@@ -89,6 +79,9 @@ class LearnConfig:
     paper."""
     reward: str = "time"
     """Reward preset: time, careful (crashes cost more) or paper."""
+    shield: bool = True
+    """Bend commands that leave no way to stop without touching anything; else a crash ends an
+    episode."""
 
     def __post_init__(self) -> None:
         """Check what would fail late.
@@ -106,11 +99,11 @@ class LearnConfig:
         for field in ("alpha_actor", "alpha_critic"):
             if not 0.0 < getattr(self, field) < math.inf:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be a positive number")
-        for field in ("gap", "hard_gap", "law_pull"):
+        for field in ("gap",):
             if not 0.0 <= getattr(self, field) < math.inf:
                 raise ValueError(f"{field}: {getattr(self, field)}: must be a number from 0 on")
         shares = ("alpha_target", "average_rate", "final_rate", "guided_share", "guided_until")
-        for field in (*shares, "residual", "hard_residual"):
+        for field in shares:
             if not 0.0 <= getattr(self, field) <= 1.0:
                 raise ValueError(f"{field}: {getattr(self, field)}: must lie between 0 and 1")
         if self.buffer < max(self.batch, self.envs, self.demonstrations):
@@ -123,4 +116,9 @@ class LearnConfig:
                 f"noise_max: {self.noise_max}: must be at least noise_min = {self.noise_min}, "
                 "and both numbers from 0 on"
             )
-        Rules(self.observation, self.reward, self.gamma)
+        self.rules  # noqa: B018  (raises for unknown names)
+
+    @property
+    def rules(self) -> Rules:
+        """Of the episodes that are learned and flown."""
+        return Rules(self.observation, self.reward, self.gamma, self.shield)

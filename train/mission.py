@@ -200,7 +200,7 @@ def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
     usual, learn = LearnConfig(), args.learn
     if args.weights == SHIPPED and not args.from_scratch:
         shipped = TrainedPolicy.load(weights_file(SHIPPED))
-        for field in ("observation", "width", "residual"):
+        for field in ("observation", "width"):
             value, own = getattr(learn, field), getattr(shipped, field)
             if value not in (getattr(usual, field), own):
                 say(f"--{field}: {value}: not that of the policy shipped; learning from scratch")

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from torch import nn
 from torchrl.modules import TanhModule
 
-from train.ddpg import AddPrior
-
 Float32 = NDArray[np.float32]
 
 
@@ -54,19 +52,15 @@ class PlainActor:
             ValueError: the actor has other parts.
         """
         layers: list[_Hidden] = []
-        self._scale = np.float32(0.0)
         parts = [part for part in actor.modules() if not any(True for _ in part.children())]
         for part in parts:
             if isinstance(part, nn.Linear):
                 layers.append(_Hidden(_array(part.weight), _array(part.bias)))
             elif isinstance(part, nn.LayerNorm) and layers:
                 layers[-1].normalise(part)
-            elif isinstance(part, AddPrior):
-                self._scale = np.float32(part.scale.item())
             elif not isinstance(part, nn.ReLU | TanhModule):
                 raise ValueError(f"actor: {type(part).__name__}: has no plain form here")
-        ends = [part for part in parts if not isinstance(part, AddPrior)]
-        if not layers or layers[-1].norm is not None or not isinstance(ends[-1], TanhModule):
+        if not layers or layers[-1].norm is not None or not isinstance(parts[-1], TanhModule):
             raise ValueError("actor: must end with a linear layer and tanh")
         self._hidden, self._last = layers[:-1], layers[-1]
 
@@ -75,8 +69,7 @@ class PlainActor:
         x = observation
         for layer in self._hidden:
             x = layer(x)
-        x = np.tanh(self._last.weight @ x + self._last.bias)
-        return observation[-3:] + self._scale * x if self._scale else x
+        return np.asarray(np.tanh(self._last.weight @ x + self._last.bias))
 
 
 def _array(parameter: torch.Tensor) -> Float32:

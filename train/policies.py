@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 import pickle
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +20,7 @@ from mjcollect import asset_path
 from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
-from mjcollect.observation import OBSERVATIONS, SIGNS
+from mjcollect.observation import OBSERVATIONS
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
@@ -45,24 +44,13 @@ class TrainedPolicy:
 
     Attributes:
         actor: TorchRL module, observation -> action. observation: name of the observation.
-        quiet: size of the signs of a disturbance in an adaptive observation at which corrections of
-            the law are half as large; where there is none the law flies. 0: they are whole always.
     """
 
     actor: TensorDictSequential
     observation: str
-    quiet: float = 0.0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions (N, 3) for observations (N, D) float32."""
-        action = self._act(observation)
-        if self.quiet:
-            law = observation[:, -3:]
-            seen = np.linalg.norm(observation[:, SIGNS], axis=1, keepdims=True)
-            return np.asarray(law + seen / (self.quiet + seen) * (action - law))
-        return action
-
-    def _act(self, observation: np.ndarray) -> np.ndarray:
         if len(observation) == 1:
             return self.plain(observation[0])[None]
         device = next(self.actor.parameters()).device
@@ -74,11 +62,6 @@ class TrainedPolicy:
     def plain(self) -> PlainActor:
         """The actor for single observations."""
         return PlainActor(self.actor)
-
-    @property
-    def residual(self) -> float:
-        """Greatest correction of the observation's law; 0 where the actions are its own."""
-        return _scale(self.actor.state_dict())
 
     @property
     def inputs(self) -> int:
@@ -96,13 +79,12 @@ class TrainedPolicy:
             name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
         }
         if path.suffix == ".safetensors":
-            # One entry: the order of several is not the same every time.
-            about = json.dumps({"observation": self.observation, "quiet": self.quiet})
+            about = json.dumps({"observation": self.observation})
             path.write_bytes(safetensors.torch.save(weights, {"policy": about}))
             return
         # Through memory: on a full disk torch.save itself raises no OSError.
         buffer = io.BytesIO()
-        content = {"actor": weights, "observation": self.observation, "quiet": self.quiet}
+        content = {"actor": weights, "observation": self.observation}
         torch.save(content, buffer)
         path.write_bytes(buffer.getvalue())
 
@@ -119,14 +101,9 @@ class TrainedPolicy:
         first = next(value for name, value in weights.items() if name.endswith("0.weight"))
         if names["observation"] not in OBSERVATIONS:
             raise ValueError(f"observation: {names['observation']}: unknown")
-        actor = make_actor(first.shape[1], first.shape[0], _scale(weights))
+        actor = make_actor(first.shape[1], first.shape[0])
         actor.load_state_dict(weights)
-        return cls(actor, names["observation"], names.get("quiet", 0.0))
-
-
-def _scale(weights: Mapping[str, torch.Tensor]) -> float:
-    """Greatest correction of an actor's weights; 0 where there is no law."""
-    return next((float(value) for name, value in weights.items() if name.endswith("scale")), 0.0)
+        return cls(actor, names["observation"])
 
 
 def weights_file(path: Path) -> Path:

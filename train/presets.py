@@ -23,7 +23,7 @@ NEVER = 1_000_000_000  # updates; more than any budget
 class Choice:
     """A setting's value under a preset, and where that value comes from."""
 
-    value: float | int | str
+    value: bool | float | int | str
     source: str
 
 
@@ -32,8 +32,7 @@ PAPER: Mapping[str, Choice] = {
     "observation": Choice("paper", "section IV-B: S = {q, v, l, m, p}"),
     "demonstrations": Choice(0, "Algorithm 1, initialisation: D is empty"),
     "guided_share": Choice(0.0, "Algorithm 1: every action is pi(S; theta), perturbed"),
-    "residual": Choice(0.0, "section IV-B: A = pi(S; theta) is the acceleration itself"),
-    "hard_residual": Choice(0.0, "as residual"),
+    "shield": Choice(False, "section V-A: contact and bounds are penalties, r5 and r6"),
     "envs": Choice(1, "Algorithm 1: one episode after another"),
     "u1": Choice(64, "U_1 is open: as many operations a round as the 64 simulations make else"),
     "noise_min": Choice(0.3, "Algorithm 1: one Gaussian perturbation; its size is open"),

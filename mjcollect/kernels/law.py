@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mjcollect.compiled import Array, compiled
-from mjcollect.kernels.boxes import box_offset, free_way, segment_gap, slab
-from mjcollect.kernels.flight import project_row
+from mjcollect.compiled import Array, Indices, compiled
+from mjcollect.kernels.boxes import box_offset, free_way
+from mjcollect.kernels.flight import project_row, scene_of
+from mjcollect.kernels.shield import OUTSIDE
+from mjcollect.kernels.stop import stop_row
 from mjcollect.kernels.vectors import dot, into_ball, norm, unit
+from mjcollect.kernels.way import query_row
 
 if TYPE_CHECKING:
     from mjcollect.flight import World
@@ -24,11 +27,9 @@ if TYPE_CHECKING:
 ONE_TURN = 30.0  # metres within which corners count as one turn
 CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
 WALL_SHARE = 0.9  # of the room to a bound that a stop may take
-OUTSIDE = 1e-6  # metres beyond a bound to which undisturbed flights keep
 RETURN_SECONDS = 1.0  # in which a body that was blown over a bound comes back
 FREE_ROOM = 0.1  # metres beyond the body's radius that the law keeps from boxes where it can
 BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
-SLOWER = (1.0, 0.8, 0.5, 0.2, 0.0)  # shares of the wanted speed that are tried in turn
 
 
 @compiled
@@ -135,68 +136,6 @@ def steer(world: World, w: int, v: Array, heading: Array, wanted: Array, a: Arra
 
 
 @compiled
-def can_stop(world: World, w: int, q: Array, v: Array, a: Array) -> bool:
-    """Whether a slot of acceleration `a` (3,) and then full braking touch nothing.
-
-    They keep FREE_ROOM from boxes, or as much as there is at q.
-    """
-    boxes, bounds, slot = world.boxes[w], world.bounds[w], world.slot
-    a_max, radius = world.a_max[w, 0], world.radius[w, 0]
-    low, high, end, braking = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for k in range(3):
-        braking[k] = v[k] + a[k] * slot
-    # Braking ends with a slot of which only a part is needed: that takes longer, and farther.
-    speed = norm(braking)
-    part = speed / (a_max * slot) % 1.0
-    more = part * (1.0 - part) * a_max * slot**2 / 2
-    reach = speed / (2 * a_max) + more / max(speed, 1e-9)
-    for k in range(3):
-        end[k] = q[k] + slot * (v[k] + a[k] * (slot + world.step) / 2)
-        braking[k] *= reach
-        # The slot's parabola lies between q, its end, and where the tangents there meet.
-        tangent = q[k] + slot * (v[k] + a[k] * world.step / 2) / 2
-        low[k], high[k] = min(q[k], tangent, end[k]), max(q[k], tangent, end[k])
-        rest = end[k] + braking[k]
-        least, most = bounds[0, k], bounds[1, k]
-        if least - q[k] > OUTSIDE:  # blown over a bound: no farther than within a slot
-            least = q[k] + min(v[k], 0.0) * slot
-        if q[k] - most > OUTSIDE:
-            most = q[k] + max(v[k], 0.0) * slot
-        # Outside by rounding: no farther, or nothing would ever be allowed from there.
-        least, most = min(least, q[k]), max(most, q[k])
-        if min(low[k], rest) < least or max(high[k], rest) > most:
-            return False
-    for b in range(len(boxes)):
-        room, near = radius + FREE_ROOM, True
-        for k in range(3):
-            near = near and low[k] - room <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + room
-        enter, leave = slab(end, braking, boxes[b], room, 1e-12)
-        near = near or (enter <= leave and leave >= 0.0 and enter <= 1.0)
-        if near and not clear_of(world, w, q, v, a, end, braking, boxes[b]):
-            return False
-    return True
-
-
-@compiled
-def clear_of(
-    world: World, w: int, q: Array, v: Array, a: Array, end: Array, braking: Array, box: Array
-) -> bool:
-    """Whether a slot and then `braking` (3,) from its end keep clear of a box, see `can_stop`."""
-    one, other, radius = q.copy(), np.empty(3), world.radius[w, 0]
-    # A hair less, or rounding would hold a body beside a box for ever.
-    room = max(min(FREE_ROOM + radius, box_offset(q, box, other) - 1e-9), radius)
-    for s in range(1, world.substeps + 2):
-        for k in range(3):
-            other[k] = q[k] + s * world.step * (v[k] + a[k] * world.step * (s + 1) / 2)
-            if s > world.substeps:
-                other[k] = end[k] + braking[k]
-        if segment_gap(one, other, box) < room:
-            return False
-        one[:] = other
-    return True
-
-
-@compiled
 def law_row(
     world: World, w: int, q: Array, v: Array, room: float, heading: Array, corner: float,
     action: Array,
@@ -212,16 +151,30 @@ def law_row(
     free = free_way(world.boxes[w], world.radius[w, 0] + FREE_ROOM, q, heading)
     speed = min(stopping(a_max, min(room, free), closing, slot), world.v_max[w, 0], corner)
     wanted = np.empty(3)
-    for share in SLOWER:
-        for k in range(3):
-            wanted[k] = heading[k] * speed * share
-        within_bounds(world, w, q, wanted)
-        steer(world, w, v, heading, wanted, action)
-        if can_stop(world, w, q, v, action):
-            break
-    else:
-        for k in range(3):
-            wanted[k] = -v[k] / slot / a_max
-        project_row(world, w, v, wanted, action)
+    for k in range(3):
+        wanted[k] = heading[k] * speed
+    within_bounds(world, w, q, wanted)
+    steer(world, w, v, heading, wanted, action)
     for k in range(3):
         action[k] /= a_max
+
+
+@compiled
+def law(
+    world: World, way: Way, slack: float, which: Indices, goal: Array, q: Array, v: Array,
+    action: Array,
+) -> None:  # fmt: skip
+    """Actions (N, 3) of the simulations `which` towards a goal (3,)."""
+    heading, aim = np.empty(3), np.empty(3)
+    for i in which:
+        w = scene_of(world, i)
+        left, chosen = query_row(way, q[i], heading)
+        a_max, top, slot = world.a_max[w, 0], world.v_max[w, 0], world.slot
+        corner = heading_row(way, slot, a_max, chosen, q[i], v[i], heading)
+        room = max(left - slack, 0.0)
+        if chosen == len(way.points) - 1:
+            found = stop_row(way, goal, q[i], v[i], a_max, top, slot, aim)
+            if found >= 0.0:
+                room = found
+                heading[:] = aim
+        law_row(world, w, q[i], v[i], room, heading, corner, action[i])

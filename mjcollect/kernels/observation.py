@@ -10,9 +10,6 @@ import numpy as np
 from mjcollect.compiled import Array, Indices, compiled
 from mjcollect.kernels.boxes import box_offset
 from mjcollect.kernels.flight import scene_of
-from mjcollect.kernels.law import heading_row, law_row
-from mjcollect.kernels.line import follow_row
-from mjcollect.kernels.stop import stop_row
 from mjcollect.kernels.vectors import dot
 from mjcollect.kernels.way import query_row
 
@@ -23,9 +20,8 @@ if TYPE_CHECKING:
 
 @compiled
 def look(
-    world: World, way: Way, slack: float, which: Indices, goal: Array, strides: Array,
-    q: Array, v: Array,
-    offset: Array, distance: Array, direction: Array, closing: Array, ahead: Array, law: Array,
+    way: Way, which: Indices, goal: Array, strides: Array, q: Array, v: Array,
+    offset: Array, distance: Array, direction: Array, closing: Array, ahead: Array,
 ) -> None:  # fmt: skip
     """How the simulations `which` stand towards a goal (3,), see `reward.Approach`.
 
@@ -33,28 +29,12 @@ def look(
     """
     point, towards = np.empty(3), np.empty(3)
     for i in which:
-        w = scene_of(world, i)
-        left, chosen = query_row(way, q[i], direction[i])
+        left, _ = query_row(way, q[i], direction[i])
         distance[i] = left
         closing[i] = dot(v[i], direction[i])
         for k in range(3):
             offset[i, k] = goal[k] - q[i, k]
             point[k], towards[k] = q[i, k], direction[i, k]
-        corner = heading_row(way, world.slot, world.a_max[w, 0], chosen, q[i], v[i], towards)
-        room = max(left - slack, 0.0)
-        if chosen == len(way.points) - 1:
-            a_max, top = world.a_max[w, 0], world.v_max[w, 0]
-            found = stop_row(way, goal, q[i], v[i], a_max, top, world.slot, point)
-            if found >= 0.0:
-                room = found
-                for k in range(3):
-                    towards[k] = point[k]
-            for k in range(3):
-                point[k] = q[i, k]
-        if not follow_row(world, w, way.line, q[i], v[i], law[i]):
-            law_row(world, w, q[i], v[i], room, towards, corner, law[i])
-        for k in range(3):
-            towards[k] = direction[i, k]
         for a in range(len(strides)):
             if a > 0:
                 left, _ = query_row(way, point, towards)
@@ -92,7 +72,7 @@ def nearest_boxes(
 @compiled
 def guided(
     world: World, q: Array, v: Array, goal_offset: Array, distance: Array, direction: Array,
-    closing: Array, ahead: Array, slack: Array, law: Array,
+    closing: Array, ahead: Array, slack: Array,
     nearest: int, reach: float, far: float, out: Array,
 ) -> None:  # fmt: skip
     """See `observation.guided`; the parts one after another, in the order of `GUIDED`."""
@@ -137,4 +117,3 @@ def guided(
         for k in range(3):
             row[at + k] = math.tanh((q[i, k] - bounds[0, k]) / reach)
             row[at + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / reach)
-            row[at + 6 + k] = law[i, k]
