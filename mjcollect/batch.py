@@ -31,7 +31,7 @@ from mjcollect.scene import Scene
 
 Indices = NDArray[np.intp]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-FLAGS = ("done", "terminated", "truncated", "success", "crashed")
+FLAGS = ("done", "terminated", "truncated", "success", "crashed", "shielded")
 
 
 class Fleet(Protocol):
@@ -202,8 +202,8 @@ def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
 class BatchedFlightEnv(EnvBase):
     """TorchRL environment of batch size N over `Simulations`.
 
-    Observation float32 (N, D); action float32 (N, 3) in [-1, 1]. `success` and `crashed` come
-    along with each step.
+    Observation float32 (N, D); action float32 (N, 3) in [-1, 1]. `success`, `crashed` and
+    `shielded` (the shield changed the command) come along with each step, Boolean (N, 1).
     """
 
     def __init__(self, simulations: Fleet, device: str = "cpu") -> None:
@@ -217,6 +217,7 @@ class BatchedFlightEnv(EnvBase):
             observation=Unbounded((n, size), dtype=torch.float32, device=device),
             success=flag.clone(),
             crashed=flag.clone(),
+            shielded=flag.clone(),
             shape=(n,),
             device=device,
         )
@@ -274,6 +275,7 @@ class BatchedFlightEnv(EnvBase):
             truncated=self._flag(outcome.truncated),
             success=self._flag(outcome.success),
             crashed=self._flag(outcome.slot.crashed),
+            shielded=self._flag(outcome.shielded),
         )
 
     def _set_seed(self, seed: int | None) -> None:

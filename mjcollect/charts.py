@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,8 @@ from mjcollect.trajectory import Trajectory
 DPI = 120
 # Okabe and Ito's palette: told apart by the colour-blind.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
-BLACK = "#222222"
+SKY, BLACK = "#56B4E9", "#222222"
+APART = 0.055  # of a panel's height, between the labels of two levels
 LABEL: dict[str, Any] = {"size": 11, "color": BLACK}
 
 # Panels of the learning figure: columns with their name in the legend, colour and marker.
@@ -34,10 +36,14 @@ RATES: list[Column] = [
     ("success_rate", "success, training", BLUE, None),
     ("eval_success_rate", "success, evaluation", GREEN, "o"),
     ("crash_rate", "crashes, training", RED, None),
+    ("shield_share", "shield acts, of slots", PURPLE, None),
 ]
-TIME: list[Column] = [
-    ("eval_time", "evaluation", GREEN, "o"),
-    ("best_time", "best, kept", BLACK, None),
+KEPT: Column = ("best_time", "best, kept", "#C4C4C4", None)  # wide, behind the others
+TIME: list[Column] = [KEPT, ("eval_time", "evaluation", GREEN, "o")]
+TIMES: list[Column] = [
+    KEPT,
+    ("eval_actor_time", "actor", BLUE, "o"),
+    ("eval_average_time", "averaged actor", GREEN, "o"),
 ]
 CRITIC: list[Column] = [("critic_loss", "critic loss", BLUE, None)]
 ACTOR: list[Column] = [("actor_loss", "actor loss", ORANGE, None)]
@@ -138,15 +144,19 @@ def plot_learning(
     *,
     bound: float | None = None,
     detour: float | None = None,
+    law_time: float | None = None,
+    mpc_time: float | None = None,
 ) -> Figure:
     """Return, success, time and losses against environment steps (or updates, if not logged).
 
     Args:
         path: PNG to write, 1440 by 1080 pixels.
         metrics: columns of metrics.csv. Those known are drawn: episode_return, success_rate,
-            eval_success_rate, crash_rate, eval_time (s), critic_loss, actor_loss. Cells may be
-            empty, None or NaN. With a column `segment`, every segment gets its own line.
-        bound, detour: lower bound and detour time in seconds, drawn beside eval_time.
+            eval_success_rate, crash_rate, shield_share, eval_actor_time and eval_average_time, or
+            else eval_time (s), best_time (s), critic_loss, actor_loss. Cells may be empty, None or
+            NaN. With a column `segment`, every segment gets its own line.
+        bound, detour, law_time, mpc_time: seconds of lower bound, detour time, and flights of the
+            guidance law and the MPC, drawn as levels beside the evaluated times.
 
     Returns:
         The figure, also written to `path`.
@@ -163,18 +173,24 @@ def plot_learning(
         raise ValueError(f"metrics: {lengths}: columns must have equal lengths")
     made = figure(12, 9)
     grid: Any = made.subplots(2, 2, sharex=True)
-    labels = ("episode return", "share of episodes", "time (s)", "critic loss")
+    labels = ("episode return", "share", "time (s)", "critic loss")
     for axes, label in zip(grid.flat, labels, strict=True):
         axes.set_ylabel(label, **LABEL)
         _plain(axes)
-    for axes, shown in zip(grid.flat, (RETURN, RATES, TIME, CRITIC), strict=True):
+    both = "eval_actor_time" in columns and "segment" not in columns
+    panels = (RETURN, RATES, TIMES if both else TIME, CRITIC)
+    for axes, shown in zip(grid.flat, panels, strict=True):
         _curves(axes, columns, x_name, shown)
     grid[0, 1].set_ylim(-0.03, 1.03)
-    for value, name, colour in ((detour, "detour time", ORANGE), (bound, "lower bound", RED)):
-        if value is not None:
-            grid[1, 0].axhline(
-                value, color=colour, linestyle="--", linewidth=1.3, label=f"{name} {value:.2f} s"
-            )
+    levels = (
+        (bound, "lower bound", RED, ":"),
+        (detour, "detour time", ORANGE, ":"),
+        (mpc_time, "MPC", SKY, (0.0, (3.0, 3.0))),
+        (law_time, "law", PURPLE, (3.0, (3.0, 3.0))),  # in the gaps of the MPC's, if they are equal
+    )
+    there = [level for level in levels if level[0] is not None]
+    if there:
+        _levels(grid[1, 0], there)
     critic = columns.get("critic_loss", np.empty(0))
     if np.any(critic > 0) and not np.any(critic < 0):
         grid[1, 1].set_yscale("log")
@@ -222,14 +238,47 @@ def _curves(axes: Any, columns: Mapping[str, Array], x_name: str, shown: list[Co
                     color=colour,
                     marker=marker,
                     markersize=4,
-                    linewidth=1.5,
+                    linewidth=5.0 if name == KEPT[0] else 1.5,
                     label=label,
                 )
 
 
+def _levels(axes: Any, levels: Sequence[tuple[float | None, str, str, Any]]) -> None:
+    """Horizontal lines at values, with names and colours, labelled at the right edge."""
+    drawn = [line.get_ydata() for line in axes.lines]
+    values = np.array([level[0] for level in levels], dtype=float)
+    data = np.concatenate([values, *drawn])
+    # What is far later than the levels runs out of the picture: they are what there is to beat.
+    low, high = float(np.nanmin(data)), min(float(np.nanmax(data)), 1.5 * float(values.max()))
+    room = 0.06 * max(high - low, 0.02 * high, 0.1)
+    axes.set_ylim(low - room, high + room)
+    places = (values - low + room) / (high - low + 2 * room)
+    order = np.argsort(places, kind="stable")
+    for lower, upper in pairwise(order):  # apart, and not above the panel
+        places[upper] = max(places[upper], places[lower] + APART)
+    top = 1.0
+    for index in order[::-1]:
+        places[index] = top = min(places[index], top)
+        top -= APART
+    for (value, name, colour, dashes), place in zip(levels, places, strict=True):
+        short = name.removeprefix("lower ").removesuffix(" time")
+        style = {"color": colour, "linestyle": dashes, "linewidth": 1.8}
+        axes.axhline(value, label=f"{name} {value:.2f} s", gid="level", **style)
+        axes.annotate(
+            f"{short} {value:.2f}", (1.0, value), (1.045, place),
+            xycoords=("axes fraction", "data"), textcoords="axes fraction",
+            va="center", size=9.5, color=BLACK, annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.2, "shrinkA": 1,
+                        "shrinkB": 0, "relpos": (0.0, 0.5)},
+        )  # fmt: skip
+
+
 def _legends(made: Figure, grid: Any, twin: Any, columns: Mapping[str, Array]) -> None:
     """One legend a panel, above its data, or one for all segments under the figure."""
-    made.subplots_adjust(left=0.07, right=0.93, top=0.95, bottom=0.07, hspace=0.16, wspace=0.24)
+    made.subplots_adjust(left=0.07, right=0.93, top=0.93, bottom=0.07, hspace=0.2, wspace=0.24)
+    labelled = any(line.get_gid() == "level" for line in grid[1, 0].lines)
+    if labelled:
+        made.subplots_adjust(wspace=0.42)
     if "segment" in columns:
         handles, labels = grid[0, 0].get_legend_handles_labels()
         if handles:
@@ -247,12 +296,16 @@ def _legends(made: Figure, grid: Any, twin: Any, columns: Mapping[str, Array]) -
         if axes is grid[1, 1]:
             extra = twin.get_legend_handles_labels()
             handles, labels = handles + extra[0], labels + extra[1]
-        keep = [k for k, label in enumerate(labels) if not label.startswith("segment")]
+        keep = [
+            k
+            for k, label in enumerate(labels)
+            if not label.startswith("segment") and handles[k].get_gid() != "level"
+        ]
         if keep:
             axes.legend(
                 [handles[k] for k in keep], [labels[k] for k in keep], loc="lower left",
-                bbox_to_anchor=(0.0, 1.0), ncol=len(keep), frameon=False, fontsize=9.5,
-                borderaxespad=0.1, columnspacing=1.1, handlelength=1.6,
+                bbox_to_anchor=(0.0, 1.0), ncol=len(keep) if len(keep) < 4 else 2,
+                frameon=False, fontsize=9.5, borderaxespad=0.1, columnspacing=1.1, handlelength=1.6,
             )  # fmt: skip
 
 

@@ -69,7 +69,7 @@ class Outcome:
     Attributes:
         reward: of the slot. slot: its events.
         terminated: the course is finished, or a crash ended it. truncated: the step limit did.
-        success: the course is finished.
+        success: the course is finished. shielded: the shield changed the command.
     """
 
     reward: Array
@@ -77,6 +77,7 @@ class Outcome:
     terminated: Bools
     truncated: Bools
     success: Bools
+    shielded: Bools
 
 
 class Episodes:
@@ -242,9 +243,8 @@ class Episodes:
             self.target = self.target + moving
             self._look_anew(after, np.flatnonzero(moving))
         terminated = success | ended
-        return Outcome(
-            reward, slot, terminated, ~terminated & (self.steps >= self.step_limit), success
-        )
+        truncated = ~terminated & (self.steps >= self.step_limit)
+        return Outcome(reward, slot, terminated, truncated, success, self.shielded.copy())
 
     def _rests(self) -> Bools:
         """Where (N,) a disturbed stop is one: slow enough, and within the tolerance."""

@@ -10,10 +10,12 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter1d
 
 from mjcollect.camera import Picture, View, chase_eyes, framing
+from mjcollect.geometry import Array
 from mjcollect.labels import node_labels
 from mjcollect.overlay import (
     COLLECTED,
     GREY,
+    SHIELD,
     UAV,
     WHITE,
     Hud,
@@ -51,12 +53,14 @@ class Film:
         size: tuple[int, int] = (1280, 720),
         caption: str | None = None,
         samples: int = 0,
+        shielded: Array | None = None,
     ) -> None:
         """Plan every frame; nothing is rendered yet. See `mjcollect.render.render_video`."""
         self._scene, self._trajectory, self._order = scene, trajectory, list(order)
         self._size, self._fps, self._caption, self._samples = size, fps, caption, samples
         self.progress = progress(scene, trajectory, order, segment)
         self._segment = segment
+        self._shielded = np.empty((0, 2)) if shielded is None else shielded
         self._sample(speed)
         self._trail_points()
         self._views = self._chase_views()
@@ -91,6 +95,10 @@ class Film:
             np.stack([np.interp(self._t, flown.t, column) for column in part.T], axis=1)
             for part in (flown.x, flown.v, smooth)
         )
+        # Each frame stands for the time up to the next one, so that no slot is lost.
+        begin, end = (self._t + off for off in (1e-9, speed / self._fps - 1e-9))
+        acts = (self._shielded[:, 0] < end[:, None]) & (self._shielded[:, 1] > begin[:, None])
+        self._shields = acts.any(axis=1)
         row = np.searchsorted(flown.t, self._t + 1e-9, side="right") - 1
         self._reached = np.array([self.progress.reached(int(k)) for k in row])
 
@@ -153,6 +161,9 @@ class Film:
             (f"path {self._trajectory.length:.0f} m", WHITE),
             (f"items {items} / {len(self._order)}", WHITE),
         ]
+        if len(self._shielded):
+            seconds = float(np.sum(self._shielded[:, 1] - self._shielded[:, 0]))
+            lines.append((f"shield acted for {seconds:.1f} s", SHIELD))
         self._hud.card(ImageDraw.Draw(image, "RGBA"), lines)
         yield from _fade(last, np.asarray(image), round(HOLD * self._fps), FADE * self._fps, False)
 
@@ -162,9 +173,10 @@ class Film:
         margin = round(20 * self._size[1] / 720)
         corner = (self._size[0] - inset.size[0] - margin, margin)
         unit = self._size[1] / 720
+        panels = (226 if len(self._shielded) else 190) * unit
         blocked = [
             (corner[0] - 4, 0.0, float(self._size[0]), margin + inset.size[1] + 4.0),
-            (0.0, self._size[1] - 190 * unit, 400 * unit, float(self._size[1])),
+            (0.0, self._size[1] - panels, 400 * unit, float(self._size[1])),
             (0.0, 0.0, 460 * unit, 110 * unit),
         ]
         still: Picture | None = None
@@ -202,6 +214,8 @@ class Film:
             float(np.linalg.norm(self._goals[frame] - self._x[frame])),
             f"items {len(self.progress.collected(reached))} / {len(self._order)}",
         )
+        if self._shields[frame]:
+            self._hud.shield(draw)
         if reached and frame - int(np.argmax(self._reached == reached)) < NOTICE * self._fps:
             node = self.progress.targets[reached - 1]
             text = "arrived at the depot" if node < 0 else f"{node_name(node)} collected"

@@ -25,6 +25,7 @@ COLLECTED: Colour = (0, 178, 127)
 TARGET: Colour = (242, 64, 153)
 DEPOT: Colour = (26, 115, 217)
 UAV: Colour = (255, 96, 16)
+SHIELD: Colour = (86, 180, 233)
 
 
 def speed_colours(speed: Array, v_max: float) -> Array:
@@ -221,6 +222,18 @@ class Hud:
         draw.text((left + 120 * u, top + 122 * u), f"{distance:.0f} m", WHITE,
                   font(round(17 * u), True), anchor="lm")  # fmt: skip
         draw.text((right, top + 122 * u), items, WHITE, font(round(17 * u)), anchor="rm")
+
+    def shield(self, draw: ImageDraw.ImageDraw) -> None:
+        """A mark above the instruments: the shield changes the command that is flown."""
+        u = self._unit
+        left, bottom = 20 * u, self._size[1] - 184 * u
+        letters = font(round(18 * u), True)
+        width = draw.textlength("shield", letters)
+        panel(draw, (left, bottom - 36 * u, left + 54 * u + width, bottom), 10 * u)
+        x, y, s = left + 23 * u, bottom - 18 * u, 10 * u
+        crest = [(-0.8, -0.85), (0.0, -1.1), (0.8, -0.85), (0.75, 0.1), (0.0, 1.1), (-0.75, 0.1)]
+        draw.polygon([(x + s * across, y + s * down) for across, down in crest], SHIELD)
+        draw.text((left + 40 * u, y), "shield", WHITE, letters, anchor="lm")
 
     def card(self, draw: ImageDraw.ImageDraw, lines: list[tuple[str, Colour]]) -> None:
         """A plate with a big first line at the top left: opening and result."""

@@ -21,6 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from mjcollect import shield_log
+from mjcollect.geometry import Array
 from mjcollect.scene import Scene, SceneError
 from mjcollect.trajectory import Trajectory
 
@@ -46,6 +48,7 @@ def render_video(
     size: tuple[int, int] = (1280, 720),
     caption: str | None = None,
     samples: int = 0,
+    shielded: Array | None = None,
     show_progress: bool = False,
 ) -> None:
     """Write an H.264 video of a flight; needs MUJOCO_GL set before mujoco was imported.
@@ -59,6 +62,7 @@ def render_video(
         size: width and height in pixels, both even.
         caption: headline of the result; by default whether the targets were reached.
         samples: multisampling; 4 smooths edges, in software GL at more than twice the time.
+        shielded: (n, 2) seconds between which the shield acted, marked; see `shield_log`.
         show_progress: draw a progress bar on stderr.
 
     Raises:
@@ -82,6 +86,7 @@ def render_video(
     film = Film(
         scene, trajectory, order,
         segment=segment, fps=fps, speed=speed, size=size, caption=caption, samples=samples,
+        shielded=shielded,
     )  # fmt: skip
     frames = film.frames()
     path = Path(path)
@@ -119,6 +124,7 @@ def render_run(
     try:
         scene = Scene.load(folder / "scene.json")
         trajectory = Trajectory.load(folder / "trajectory.csv")
+        shielded = shield_log.load(folder / shield_log.NAME)
         result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
         order, segment = list(result["order"]), result["segment"] if kind == "segment" else None
         caption = _caption(result)
@@ -135,7 +141,7 @@ def render_run(
         render_video(
             path, scene, trajectory, order,
             segment=segment, fps=RUN_FPS, speed=speed, caption=caption, samples=samples,
-            show_progress=show_progress,
+            shielded=shielded, show_progress=show_progress,
         )  # fmt: skip
     except ValueError as error:
         raise RenderError(f"{folder}: {_line(error)}") from None

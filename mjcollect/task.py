@@ -157,10 +157,12 @@ def make_environment(
     reward: str = "time",
     start: StartKind = "point",
     random: int | np.random.RandomState | None = None,
+    shield: bool = True,
     environment_kwargs: dict[str, Any] | None = None,
 ) -> control.Environment:
-    """dm-control environment of a course."""
-    task = FlightTask(course, Rules(observation, reward), start, random)
+    """dm-control environment of a course; see `load` for the arguments."""
+    rules = Rules(observation, reward, shield=shield)
+    task = FlightTask(course, rules, start, random)
     root = build(course.scene, solid=PRESETS[reward].crash_ends)
     physics = Physics.from_xml_string(root.to_xml_string(), root.get_assets())
     return control.Environment(
@@ -216,6 +218,7 @@ def load(
     reward: str = "time",
     start: StartKind = "point",
     random: int | np.random.RandomState | None = None,
+    shield: bool = True,
     environment_kwargs: dict[str, Any] | None = None,
     **task_kwargs: Any,
 ) -> control.Environment:
@@ -227,6 +230,7 @@ def load(
         order: visiting order method, see `tour.plan_order`; `seed` is for `random`.
         observation, reward: preset names. start: kind of start states.
         random: seed of the start states.
+        shield: bend commands that leave no way to stop without touching anything.
 
     Raises:
         ValueError: an unknown name, with the valid ones. SceneError: the scene is refused.
@@ -242,5 +246,6 @@ def load(
         reward=reward,
         start=start,
         random=random,
+        shield=shield,
         environment_kwargs=environment_kwargs,
     )

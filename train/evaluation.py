@@ -35,6 +35,7 @@ class Evaluation:
         mean_return: undiscounted return over all starts.
         failure_seconds: that a start without arrival counts for in ranking; infinite: one more
             arrival is better, however late.
+        shield_share: share of all slots flown in which the shield changed the command.
     """
 
     success_rate: float
@@ -44,6 +45,7 @@ class Evaluation:
     mean_cost: float
     mean_return: float
     failure_seconds: float = math.inf
+    shield_share: float = 0.0
 
     @property
     def rank(self) -> tuple[float, ...]:
@@ -106,7 +108,7 @@ class Evaluator:
         sims.place(np.arange(count), self._q, self._v)
         running = np.ones(count, dtype=bool)
         success, slots, total = np.zeros(count, bool), np.zeros(count), np.zeros(count)
-        onward = np.zeros(count)
+        onward, shielded = np.zeros(count), 0
         while running.any():
             outcome = sims.step(policy(sims.observe().astype(np.float32)))
             total += np.where(running, outcome.reward, 0.0)
@@ -114,6 +116,7 @@ class Evaluator:
             success |= running & outcome.success & ~sims.episodes.crashed
             onward = np.where(running, sims.episodes.onward, onward)
             slots += running
+            shielded += int((running & outcome.shielded).sum())
             running &= ~(outcome.terminated | outcome.truncated)
         time = slots * sims.episodes.world.slot
         arrived = self._points[success[self._points]]
@@ -125,7 +128,12 @@ class Evaluator:
             mean_cost=float((time + onward)[success].mean()) if success.any() else math.nan,
             mean_return=float(total.mean()),
             failure_seconds=self._failure_seconds,
+            shield_share=shielded / float(slots.sum()),
         )
+
+    def law(self) -> Evaluation:
+        """Evaluate the guidance law."""
+        return self(lambda _: self.sims.law())
 
     def close(self) -> None:
         """Stop the simulations' threads."""

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mjcollect.course import Course
-from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.reference import NoFlight, Reference
 from mjcollect.scene import Scene
 from mjcollect.tour import order_label, plan_order
-from train.flight_recorder import Flight, fly, fly_law, record
+from train.flight_recorder import Flight, fly, fly_law, fly_mpc, record
 from train.learn_config import LearnConfig
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
 from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from
@@ -58,6 +57,9 @@ class Args:
     """Folder of guidance fields: what fits is taken from it, what is missing is built and added."""
     seed: int | None = None
     """Seed of the random order for --scene and of --finetune; default 0."""
+    shield: bool = True
+    """Bend commands of policy and guidance that leave no way to stop without touching anything.
+    A run learned without flies without; mpc and reference always do."""
     overwrite: bool = False
     """Start anew in a folder that is not empty."""
     video: bool = True
@@ -84,12 +86,15 @@ def fly_mission(args: Args) -> int:
     if args.run is None and args.planner == "policy" and args.policy is None:
         args = replace(args, policy=SHIPPED)
     policy = None if args.policy is None else start_from(args.policy, LearnConfig(), "--policy")[0]
+    shield = args.shield and args.planner in ("policy", "guidance")
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
         segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
         taught = args.planner == "policy"  # the others owe nothing to the training
         trained = [segment.read_json("segment.json") if taught else None for segment in segments]
+        learned = (RunFolder(args.run).read_json("config.json") or {}).get("learn", {})
+        shield = shield and (not taught or learned.get("shield", False))
     else:
         scene, seed = Scene.find(args.scene or ""), args.seed or 0
         order = plan_order(scene, args.order or "lkh", seed=seed)
@@ -105,6 +110,7 @@ def fly_mission(args: Args) -> int:
         "run": None if args.run is None else str(args.run),
         "policy": None if args.policy is None else digest(args.policy),
         "seed": seed,
+        "shield": shield,
     }
     folder.check(config, overwrite=args.overwrite)
     if args.guidance is not None:
@@ -117,7 +123,9 @@ def fly_mission(args: Args) -> int:
         check_size(policy, course, "--policy")
         folder.create(config, scene, overwrite=args.overwrite)
         try:
-            made = fly_unseen(course, order, policy, args.policy, folder, args.finetune, seed)
+            made = fly_unseen(
+                course, order, policy, args.policy, folder, args.finetune, seed, shield
+            )
         except Stopped:
             say("stopped; start again with --overwrite")
             return INTERRUPTED
@@ -128,13 +136,12 @@ def fly_mission(args: Args) -> int:
     elif args.planner == "policy":
         policies = [_load(segment.path / "policy.pt") for segment in segments]
         folder.create(config, scene, overwrite=args.overwrite)
-        flight = fly(course, policies, policies[0].observation)
+        flight = fly(course, policies, policies[0].observation, shield=shield)
     elif args.planner == "mpc":
         folder.create(config, scene, overwrite=args.overwrite)
-        planner = Mpc(course)
-        flight = record(course, lambda _, task: planner.action(task.episodes))
-        notes.append(planner.summary())
-        say(notes[0])
+        flight, how = fly_mpc(course)
+        notes.append(how)
+        say(how)
     elif args.planner == "reference":
         reference, seconds = _planned(course)
         folder.create(config, scene, overwrite=args.overwrite)
@@ -143,7 +150,7 @@ def fly_mission(args: Args) -> int:
         say(notes[0])
     else:
         folder.create(config, scene, overwrite=args.overwrite)
-        flight = fly_law(course)
+        flight = fly_law(course, shield=shield)
     return _finish(folder, course, order, method, flight, trained, seed, args, notes)
 
 

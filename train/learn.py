@@ -33,6 +33,7 @@ class Trainer:
     Attributes:
         learner, buffer, env: the parts. best: best evaluation so far, or the last where the last
             policy is flown; best_policy its weights, best_update when it was made.
+        last: last evaluation of the averaged actor, or of the actor where there is no average.
         rows: one dict per evaluation, the columns of metrics.csv. finished: nothing
             left to do. seconds: spent training, kept by the caller.
     """
@@ -88,6 +89,8 @@ class Trainer:
         self._returns = torch.zeros(config.envs, 1)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
         self._losses: list[torch.Tensor] = []
+        self._shielded = self._flown = 0  # slots since the last evaluation
+        self.last: Evaluation | None = None
         self._now = self.env.reset()
 
     def move(self, simulations: Fleet) -> None:
@@ -151,6 +154,8 @@ class Trainer:
 
     def _count(self, after: TensorDictBase) -> None:
         self._returns += after["reward"].cpu()
+        self._shielded += int(after["shielded"].sum())
+        self._flown += self.config.envs
         done = after["done"].cpu().squeeze(-1)
         for index in torch.nonzero(done).flatten().tolist():
             self.episodes += 1
@@ -173,6 +178,8 @@ class Trainer:
             for actor in actors
         ]
         result, actor = max(tried, key=lambda pair: pair[0].rank)
+        plain, self.last = tried[0][0], tried[-1][0]
+        average = self.last if self.config.average_rate > 0.0 else None
         last = self.config.flown == "last"
         if last or self.best is None or result.rank > self.best.rank:
             self.best, self.best_update = result, self.learner.updates
@@ -203,8 +210,15 @@ class Trainer:
                 "eval_time": result.point_time,
                 "eval_mean_time": result.mean_time,
                 "best_time": self.best.point_time,
+                "eval_actor_time": plain.point_time,
+                "eval_average_time": average.point_time if average else math.nan,
+                "eval_actor_cost": _cost(plain),
+                "eval_average_cost": _cost(average) if average else math.nan,
+                "shield_share": self._shielded / self._flown if self._flown else math.nan,
+                "eval_shield_share": result.shield_share,
             }
         )
+        self._shielded = self._flown = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Everything but the buffer's content and the settings."""
@@ -220,6 +234,8 @@ class Trainer:
             "losses": list(self._losses),
             "rows": list(self.rows),
             "best": None if self.best is None else dataclasses.asdict(self.best),
+            "last": None if self.last is None else dataclasses.asdict(self.last),
+            "shielded": (self._shielded, self._flown),
             "best_policy": self.best_policy,
             "best_update": self.best_update,
             "finished": self.finished,
@@ -238,7 +254,10 @@ class Trainer:
         self._recent.extend(tuple(entry) for entry in state["recent"])
         self._losses = list(state["losses"])
         self.rows = list(state["rows"])
-        self.best = None if state["best"] is None else Evaluation(**state["best"])
+        self.best, self.last = (
+            None if state[name] is None else Evaluation(**state[name]) for name in ("best", "last")
+        )
+        self._shielded, self._flown = state["shielded"]
         self.best_policy, self.best_update = state["best_policy"], state["best_update"]
         self.finished, self.seconds = state["finished"], state["seconds"]
 
@@ -246,6 +265,11 @@ class Trainer:
         """Stop all simulation threads."""
         self.env.close()
         self.evaluator.close()
+
+
+def _cost(result: Evaluation) -> float:
+    """Mean cost of an evaluation; NaN if not every start arrives."""
+    return result.mean_cost if result.success_rate == 1.0 else math.nan
 
 
 def segment_trainer(

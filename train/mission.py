@@ -158,7 +158,7 @@ def train_mission(args: Args) -> int:
             return INTERRUPTED
         segments = [_segment_folder(folder, index) for index in range(len(order) + 1)]
         policies = [TrainedPolicy.load(segment.path / "policy.pt") for segment in segments]
-        flight = fly(course, policies, args.learn.observation)
+        flight = fly(course, policies, args.learn.observation, shield=args.learn.shield)
         trained = [segment.read_json("segment.json") for segment in segments]
         result = mission_result(course, order, method, flight, trained, args.seed)
         write_flight(folder, course, order, flight, plots=args.plots)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjcollect import shield_log
 from mjcollect.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.course import Course
 from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top, plot_speed
@@ -38,7 +39,7 @@ def mission_result(
     violations = [entry.to_dict() for entry in verify(scene, flight.trajectory, order)]
     success = flight.success and not violations
     bound, method = mission_bound(scene)
-    segments, begun = [], 0.0
+    segments, begun, shares = [], 0.0, flight.shield_shares
     for index, (frm, to) in enumerate(legs(order)):
         reached = index < len(flight.arrivals)
         taught = trained[index] or {}
@@ -50,6 +51,7 @@ def mission_result(
                 "lower_bound": segment_bound(scene, frm, to),
                 "detour_time": detour_bound(scene, frm, to, course.guidance[index].length),
                 "success": reached and not any(v["segment"] == index for v in violations),
+                "shield_share": shares[index] if index < len(shares) else None,
                 **{key: taught.get(key) for key in TRAINED},
             }
         )
@@ -68,6 +70,7 @@ def mission_result(
         "detour_time": sum(entry["detour_time"] for entry in segments),
         "contacts": flight.contacts,
         "violations": violations,
+        "shield_share": flight.shield_share,
         "segments": segments,
         "train_seconds": sum(spent) if spent else None,
         "seed": seed,
@@ -78,15 +81,22 @@ def mission_result(
 def write_flight(
     folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight, *, plots: bool
 ) -> None:
-    """trajectory.csv and, if wanted, the plots of the flight."""
+    """trajectory.csv, shield.csv and, if wanted, the plots of the flight."""
     scene = course.scene
-    folder.write("trajectory.csv", flight.trajectory.save)
+    write_record(folder, flight)
     if not plots:
         return
     flown = (scene, flight.trajectory, order)
     folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
     folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
     folder.write("speed.png", lambda part: plot_speed(part, *flown))
+
+
+def write_record(folder: RunFolder, flight: Flight) -> None:
+    """trajectory.csv, and in shield.csv when the shield acted."""
+    folder.write("trajectory.csv", flight.trajectory.save)
+    when = shield_log.intervals(flight.shielded, flight.slot)
+    folder.write(shield_log.NAME, lambda part: shield_log.save(part, when))
 
 
 def write_learning(folder: RunFolder, segments: int) -> None:
@@ -128,6 +138,8 @@ def report(
     else:
         lines += ["**No success.**", ""]
         lines += [f"- {describe(violation)}" for violation in result["violations"]]
+    if (share := result.get("shield_share")) is not None:
+        lines += ["", f"The shield changed the command in {share:.1%} of the slots."]
     if "planner" in result:
         lines += ["", f"Planner: {result['planner']}."]
     if notes:
@@ -138,8 +150,8 @@ def report(
         f"Seed {result['seed']}.",
         "",
         "| segment | from | to | time (s) | bound (s) | ratio | detour (s) | of detour "
-        "| success rate | training (s) | updates |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| shield | success rate | training (s) | updates |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for index, entry in enumerate(result["segments"]):
         lines.append(
@@ -148,6 +160,7 @@ def report(
             f"| {_ratio(entry['time'], entry['lower_bound'])} "
             f"| {_number(entry['detour_time'], 2)} "
             f"| {_ratio(entry['time'], entry['detour_time'])} "
+            f"| {_percent(entry.get('shield_share'))} "
             f"| {_number(entry['success_rate'], 2)} | {_number(entry['train_seconds'], 0)} "
             f"| {_number(entry['updates'], 0)} |"
         )
@@ -155,7 +168,8 @@ def report(
         "",
         "Success rate: share of starts all over the segment's start ball from which the policy "
         "arrives, in the evaluation that chose it. Bound: no flight can be shorter. Detour: "
-        "estimate of the least time along the shortest free path.",
+        "estimate of the least time along the shortest free path. Shield: share of the slots in "
+        "which the command left no way to stop without touching anything, and was bent.",
         "",
         *(["[Video](mission.mp4)", ""] if video else []),
     ]
@@ -198,6 +212,10 @@ def cause(result: dict[str, Any]) -> str:
 
 def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
 
 
 def _ratio(value: float | None, of: float) -> str:

@@ -45,9 +45,9 @@ VERSIONED = (
 # Everything a run writes; --overwrite removes these and nothing else.
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
-    "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png", "speed.png",
-    "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts", "guidance",
-    "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
+    "shield.csv", "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png",
+    "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
+    "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
 SPACE = 1_000_000  # bytes; with less a run is not begun

@@ -24,10 +24,11 @@ from mjcollect.progress import node_name
 from mjcollect.scene import Scene
 from mjcollect.tour import legs, plan_order
 from mjcollect.verify import verify
-from train.flight_recorder import fly
+from train.flight_recorder import fly, fly_mpc
 from train.learn import Trainer, segment_trainer
 from train.learn_config import LearnConfig
 from train.learning_loop import learn_to_the_end
+from train.mission_report import write_record
 from train.policies import TrainedPolicy, check_size, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.runs import (
@@ -64,7 +65,7 @@ class Args:
     video: bool = True
     """Render segment.mp4."""
     plots: bool = True
-    """Draw the plots."""
+    """Draw the plots, and fly the MPC to show what there is to beat."""
     checkpoint_every: int = 1000
     """Updates between checkpoints."""
     guidance: Path | None = None
@@ -179,15 +180,20 @@ def _finish(
     if trainer.best_policy is not None:
         trainer.learner.actor.load_state_dict(trainer.best_policy)
     policy = trainer.policy
-    flight = fly(course, [policy], policy.observation)
+    flight = fly(course, [policy], policy.observation, shield=trainer.config.shield)
     violations = verify(scene, flight.trajectory, order, segment=index)
     success = flight.success and not violations
     seconds = flight.trajectory.duration if success else None
     bound = segment_bound(scene, frm, to)
     detour = detour_bound(scene, frm, to, course.guidance[0].length)
+    law = trainer.evaluator.law()
+    rivals = {
+        "law_time": _number(law.point_time),
+        "mpc_time": _mpc_time(course, order, index) if plots else None,
+    }
     folder.write_metrics(trainer.rows)
     folder.write("policy.pt", policy.save)
-    folder.write("trajectory.csv", flight.trajectory.save)
+    write_record(folder, flight)
     if plots:
         from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
 
@@ -196,7 +202,8 @@ def _finish(
         folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
         metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
         folder.write(
-            "learning.png", lambda part: plot_learning(part, metrics, bound=bound, detour=detour)
+            "learning.png",
+            lambda part: plot_learning(part, metrics, bound=bound, detour=detour, **rivals),
         )
     folder.write_json(
         "segment.json",
@@ -212,6 +219,11 @@ def _finish(
             "detour_time": detour,
             "success": success,
             "success_rate": trainer.best.success_rate if trainer.best else 0.0,
+            "best_mean_time": _number(trainer.best.mean_time) if trainer.best else None,
+            "last_mean_time": _number(trainer.last.mean_time) if trainer.last else None,
+            "last_success_rate": trainer.last.success_rate if trainer.last else 0.0,
+            "shield_share": flight.shield_share,
+            **rivals,
             "contacts": flight.contacts,
             "violations": [violation.to_dict() for violation in violations],
             "train_seconds": trainer.seconds,
@@ -223,6 +235,18 @@ def _finish(
     )
     # A finished run needs no replay buffer, by far the largest part of a checkpoint.
     folder.save_checkpoint(trainer=trainer)
+
+
+def _mpc_time(course: Course, order: tuple[int, ...], index: int) -> float | None:
+    """Seconds that the MPC needs from the segment's own start point; None if it fails."""
+    flight, _ = fly_mpc(course)
+    fails = not flight.success or verify(course.scene, flight.trajectory, order, segment=index)
+    return None if fails else flight.trajectory.duration
+
+
+def _number(value: float) -> float | None:
+    """For JSON: None for NaN."""
+    return value if math.isfinite(value) else None
 
 
 def _report(folder: RunFolder, video: bool) -> int:

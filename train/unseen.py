@@ -50,22 +50,24 @@ def fly_unseen(
     folder: RunFolder,
     finetune: int,
     seed: int,
+    shield: bool,
 ) -> Mended:
     """Fly a mission by a policy.
 
     Args:
         weights: the policy's file. folder: where segments that fail are trained.
-        finetune: updates of such a training; 0: none.
+        finetune: updates of such a training; 0: none. shield: whether policies fly with it.
 
     Raises:
         Stopped: by Ctrl-C.
     """
     policies: list[Policy] = [policy] * len(course.guidance)
-    made = Mended(fly(course, policies, policy.observation), "policy", [None] * len(policies))
+    flight = fly(course, policies, policy.observation, shield=shield)
+    made = Mended(flight, "policy", [None] * len(policies))
     while (failing := first_failure(course, order, made.flight)) is not None:
         if finetune == 0 or made.trained[failing] is not None:
             return _by_reference(course, made, failing)
-        result = _train(course, order, weights, folder, finetune, seed, failing)
+        result = _train(course, order, weights, folder, finetune, seed, failing, shield)
         made.trained[failing] = result
         at = folder.path / "segments" / str(failing) / "policy.pt"
         policies[failing] = TrainedPolicy.load(at)
@@ -73,7 +75,7 @@ def fly_unseen(
             f"The policy failed in segment {failing}; it was trained there with "
             f"{result['updates']} updates."
         )
-        made.flight = fly(course, policies, policy.observation)
+        made.flight = fly(course, policies, policy.observation, shield=shield)
     return made
 
 
@@ -88,11 +90,13 @@ def first_failure(course: Course, order: Sequence[int], flight: Flight) -> int |
 
 def _train(
     course: Course, order: tuple[int, ...], weights: Path, folder: RunFolder, finetune: int,
-    seed: int, failing: int,
+    seed: int, failing: int, shield: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """segment.json of a training from `weights`."""
     own = RunFolder(folder.path / "segments" / str(failing))
-    learn = LearnConfig(updates=finetune, extra_updates=0, eval_every=max(finetune // 10, 1))
+    learn = LearnConfig(
+        updates=finetune, extra_updates=0, eval_every=max(finetune // 10, 1), shield=shield
+    )
     with tempfile.TemporaryDirectory() as guidance:
         course.save_guidance(Path(guidance))
         args = segment.Args(

@@ -63,8 +63,14 @@ def attempt_seed(seed: int, segment: int, attempt: int) -> int:
 
 def learn_arguments(config: LearnConfig) -> list[str]:
     """The settings as command line arguments."""
-    values = dataclasses.asdict(config).items()
-    return [part for name, value in values for part in (f"--{name.replace('_', '-')}", str(value))]
+    arguments = []
+    for name, value in dataclasses.asdict(config).items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            arguments.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            arguments += [f"--{flag}", str(value)]
+    return arguments
 
 
 class LocalWorkers:

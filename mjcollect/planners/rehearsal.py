@@ -47,7 +47,7 @@ def rehearse(course: Course, pilot: Pilot) -> Rehearsal | None:
     Args:
         pilot: the episode as it stands -> action (3,) in units of a_max.
     """
-    episodes = Episodes([course], 1, Rules())
+    episodes = Episodes([course], 1, Rules(shield=False))
     episodes.reset(np.array([0]), course.scene.point(course.nodes[0])[None], np.zeros((1, 3)))
     sensed = np.zeros((1, course.scene.substeps), dtype=bool)
     commands, q, ends = [], [episodes.q[0].copy()], list[int]()
