@@ -18,9 +18,9 @@ from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, fig
 
 COLOURS = {
     "our settings": GREEN,
-    "no residual policy": BLUE,
+    "no shield": BLUE,
     "no demonstrations": ORANGE,
-    "paper's state, thus no residual policy": PURPLE,
+    "paper's state": PURPLE,
     "paper's reward": BLACK,
     "--preset paper, slot of 0.2 s": RED,
 }

@@ -72,6 +72,7 @@ class FlightGym(gymnasium.Env):
             reward=config.reward,
             start="spread",
             random=seed,
+            shield=config.shield,
         )
         size = len(self._flat(self.environment.reset().observation))
         high = np.full(size, np.inf, np.float32)
@@ -223,7 +224,7 @@ def main(args: Args) -> None:
     scene = Scene.find(args.scene)
     order = plan_order(scene, "lkh")
     course = Course.segment(scene, order, first_blocked(scene, order))
-    # Without the guidance law in the policy, which alone arrives from every start: both learn all.
+    # The actor learns from the first update on, as SB3's does.
     config = LearnConfig(threads=args.threads, actor_delay=0)
     warm_up(course, config)
     results = []

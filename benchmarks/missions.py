@@ -36,7 +36,10 @@ from train.flight_recorder import Flight, fly_law, record
 from train.mission_report import mission_result
 from train.policies import SHIPPED, digest
 
-SHOWN = ("success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations")
+SHOWN = (
+    "success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations",
+    "shield_share",
+)  # fmt: skip
 Row = dict[str, Any]
 
 

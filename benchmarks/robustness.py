@@ -110,11 +110,11 @@ def planned(commands: np.ndarray) -> Pilot:
 
 def fly(
     course: Course, pilot: Pilot, level: Disturbance, count: int, rng: np.random.Generator,
-    observation: str,
+    observation: str, shield: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Success, contact (count,) and seconds (count,) of flights from rest at the start."""
     disturbances = Disturbances(level, count, rng)
-    rules = Rules(observation)
+    rules = Rules(observation, shield=shield)
     sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
     sims.place(np.arange(count), *course.starts("point", count, np.random.default_rng(0)))
     running, success, contact = np.ones(count, bool), np.zeros(count, bool), np.zeros(count, bool)
@@ -154,7 +154,7 @@ def flights(
     rows: list[dict[str, Any]] = []
     detour = detour_bound(course.scene, *course.nodes, course.guidance[0].length)
     for name, (observation, make) in pilots.items():
-        calm = None
+        calm, shield = None, name not in ("reference", "mpc")
         # The MPC is slow and holds a plan of its own: few flights, one by one.
         groups = [[k] for k in range(max(args.draws // 8, 1))] if name == "mpc" else []
         for index, (kind, levels) in enumerate(LEVELS.items()):
@@ -167,7 +167,8 @@ def flights(
                 for group in groups or [range(args.draws)]:
                     rng = np.random.default_rng([args.seed, number, index, group[0]])
                     level = disturbance(kind, value)
-                    results.append(fly(course, make(), level, len(group), rng, observation))
+                    flown = fly(course, make(), level, len(group), rng, observation, shield)
+                    results.append(flown)
                 success, contact, seconds = (
                     np.concatenate(part) for part in zip(*results, strict=True)
                 )

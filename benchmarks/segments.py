@@ -32,7 +32,10 @@ from train.segment import Args as SegmentArgs
 from train.segment import train_segment
 
 MARK = 1.05  # of detour_time
-SHOWN = ("time", "lower_bound", "detour_time", "success_rate", "train_seconds", "updates")
+SHOWN = (
+    "time", "lower_bound", "detour_time", "law_time", "mpc_time", "success_rate", "best_mean_time",
+    "last_mean_time", "last_success_rate", "shield_share", "train_seconds", "updates",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

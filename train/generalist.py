@@ -299,9 +299,7 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
         "generalist.json",
         {
             "held_out": _finite(dataclasses.asdict(trainer.best)),
-            "law": _finite({"success_rate": trainer.rows[0]["eval_success_rate"],
-                            "point_time": trainer.rows[0]["eval_time"],
-                            "mean_time": trainer.rows[0]["eval_mean_time"]}),
+            "law": _finite(dataclasses.asdict(trainer.evaluator.law())),
             "best_update": trainer.best_update,
             "updates": trainer.learner.updates,
             "env_steps": trainer.env_steps,

@@ -18,7 +18,7 @@ import sys
 import tarfile
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,8 +63,13 @@ def attempt_seed(seed: int, segment: int, attempt: int) -> int:
 
 def learn_arguments(config: LearnConfig) -> list[str]:
     """The settings as command line arguments."""
+    return settings_arguments(dataclasses.asdict(config))
+
+
+def settings_arguments(settings: Mapping[str, bool | float | str]) -> list[str]:
+    """Settings by name as command line arguments: `--name value`, or `--name` and `--no-name`."""
     arguments = []
-    for name, value in dataclasses.asdict(config).items():
+    for name, value in settings.items():
         flag = name.replace("_", "-")
         if isinstance(value, bool):
             arguments.append(f"--{flag}" if value else f"--no-{flag}")
