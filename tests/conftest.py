@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from pupils import pupil
 
 from mjcollect.course import Course
 from mjcollect.scene import Scene
@@ -78,4 +79,16 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         items=[[75, 120, 15], [120, 60, 15]],
         obstacles=[[[85, 80, 0], [105, 100, 30]]],
     ).save(path)
+    return path
+
+
+@pytest.fixture(scope="session", params=["guided"])
+def pupil_file(
+    request: pytest.FixtureRequest, scene_file: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A policy that flies all segments of `scene_file`; parametrise it to have another one."""
+    scene = Scene.load(scene_file)
+    courses = [Course.segment(scene, (0, 1), index) for index in range(3)]
+    path = tmp_path_factory.mktemp("pupil") / "pupil.safetensors"
+    pupil(courses, request.param).save(path)
     return path

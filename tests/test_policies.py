@@ -6,7 +6,8 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 
-from mjcollect.observation import SIGNS
+from mjcollect.batch import Simulations
+from mjcollect.episode import Rules
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
@@ -53,20 +54,18 @@ def test_inputs_stay_as_they_are(actor):
 
 
 @pytest.mark.parametrize("name", ["policy.pt", "policy.safetensors"])
-@pytest.mark.parametrize("residual", [0.0, 0.3])
-def test_a_loaded_policy_decides_the_same(tmp_path, name, residual):
-    policy = TrainedPolicy(make_actor(45, 16, residual), "guided")
+def test_a_loaded_policy_decides_the_same(tmp_path, name):
+    policy = TrainedPolicy(make_actor(45, 16), "guided")
     policy.save(tmp_path / name)
     observation = np.random.default_rng(0).normal(size=(1, 45)).astype(np.float32)
     loaded = TrainedPolicy.load(tmp_path / name)
     assert np.array_equal(loaded(observation), policy(observation))
     assert (loaded.observation, loaded.width) == ("guided", 16)
-    assert loaded.residual == pytest.approx(residual)
 
 
 def test_learning_goes_on_from_a_policy_of_the_same_shape(tmp_path):
     path = tmp_path / "policy.safetensors"
-    TrainedPolicy(make_actor(45, 16, 0.3), "robust").save(path)
+    TrainedPolicy(make_actor(45, 16), "robust").save(path)
     policy, learn = start_from(path, LearnConfig(updates=5))
     assert (learn.observation, learn.width, learn.updates) == ("robust", 16, 5)
     assert (learn.least_updates, learn.patience) == (0, PATIENCE)
@@ -80,21 +79,25 @@ def test_learning_goes_on_from_a_policy_of_the_same_shape(tmp_path):
 
 
 def test_the_same_weights_give_the_same_file(tmp_path):
-    policy = TrainedPolicy(make_actor(45, 16, 0.3), "robust", 0.005)
+    policy = TrainedPolicy(make_actor(45, 16), "robust")
     files = [tmp_path / f"{k}.safetensors" for k in range(4)]
     for file in files:
         policy.save(file)
     assert len({digest(file) for file in files}) == 1
 
 
-@pytest.mark.parametrize("inputs", [45, 68])
-def test_a_policy_for_other_observations_is_refused(free_course, inputs):
+@pytest.mark.parametrize("missing", [0, 20])
+def test_a_policy_for_other_observations_is_refused(free_course, missing):
     """As one of the observation `robust` is that was saved before that grew."""
-    policy = TrainedPolicy(make_actor(inputs, 16, 0.3), "robust")
-    if inputs == 68:
+    simulations = Simulations([free_course], 1, rules=Rules("robust"), threads=1)
+    size = simulations.observe().shape[1]
+    simulations.close()
+    policy = TrainedPolicy(make_actor(size - missing, 16), "robust")
+    if missing == 0:
         check_size(policy, free_course)
         return
-    with pytest.raises(RunError, match=r"--policy: a policy of 45 inputs, .* robust has 68 here"):
+    message = f"--policy: a policy of {size - 20} inputs, .* robust has {size} here"
+    with pytest.raises(RunError, match=message):
         check_size(policy, free_course, "--policy")
 
 
@@ -108,7 +111,7 @@ def test_a_file_that_is_no_policy_is_refused(tmp_path, name):
     (tmp_path / "empty.pt").touch()
     torch.save({"actor": {}}, tmp_path / "other.pt")
     torch.save({"actor": torch.zeros(3)}, tmp_path / "flat.pt")
-    TrainedPolicy(make_actor(45, 16, 0.3), "strange").save(tmp_path / "strange.pt")
+    TrainedPolicy(make_actor(45, 16), "strange").save(tmp_path / "strange.pt")
     with pytest.raises(RunError, match=f"--weights: .*{name}: holds no policy"):
         start_from(tmp_path / name, LearnConfig())
     with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
@@ -131,24 +134,3 @@ def test_other_networks_are_refused(actor):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.Softplus()))
     with pytest.raises(ValueError, match="tanh"):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.ReLU()))
-
-
-@pytest.mark.parametrize("name", ["policy.pt", "policy.safetensors"])
-def test_a_quiet_policy_flies_the_law_where_nothing_disturbs(tmp_path, name):
-    """Corrections grow with what is seen of a disturbance: none, half, nearly whole."""
-    torch.manual_seed(0)
-    actor = make_actor(45, 16, 0.5)
-    with torch.no_grad():
-        list(actor.parameters())[-1].fill_(0.3)
-    TrainedPolicy(actor, "robust", quiet=0.02).save(tmp_path / name)
-    quiet = TrainedPolicy.load(tmp_path / name)
-    observation = np.random.default_rng(0).normal(size=(3, 45)).astype(np.float32)
-    observation[:, SIGNS] = 0.0
-    observation[1, SIGNS.start], observation[2, SIGNS.start] = 0.02, 2.0
-    law = observation[:, -3:]
-    whole = TrainedPolicy(actor, "robust")(observation) - law
-    assert np.abs(whole).min() > 0.1
-    share = np.array([[0.0], [0.5], [2.0 / 2.02]])
-    np.testing.assert_allclose(quiet(observation) - law, share * whole, atol=1e-6)
-    single = np.concatenate([quiet(row[None]) for row in observation])
-    np.testing.assert_allclose(single, quiet(observation), atol=1e-5)

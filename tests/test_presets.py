@@ -53,7 +53,7 @@ def test_the_paper_preset_is_what_the_paper_says(program):
     args = parse(program, "--preset", "paper")
     learn = args.learn
     assert (learn.reward, learn.observation) == ("paper", "paper")
-    assert (learn.residual, learn.hard_residual) == (0.0, 0.0)
+    assert learn.shield is False  # contact and bounds are penalties, r5 and r6
     assert (learn.demonstrations, learn.guided_share, learn.average_rate) == (0, 0.0, 0.0)
     assert (learn.optimizer, learn.final_rate, learn.actor_delay) == ("sgd", 1.0, 0)
     assert (learn.envs, learn.flown, learn.extra_updates) == (1, "last", 0)
@@ -87,16 +87,16 @@ def test_every_choice_is_a_setting_and_has_a_source():
 @pytest.mark.parametrize(
     "argv",
     [
-        ["--preset", "paper", "--residual", "0.25", "--flown", "best"],
-        ["--residual", "0.25", "--flown=best", "--preset=paper"],
+        ["--preset", "paper", "--average-rate", "0.25", "--flown", "best"],
+        ["--average-rate", "0.25", "--flown=best", "--preset=paper"],
     ],
 )
 @pytest.mark.parametrize("program", [segment, mission])
 def test_flags_beside_a_preset_win(program, argv):
     learn = parse(program, *argv).learn
-    assert (learn.residual, learn.flown) == (0.25, "best")
+    assert (learn.average_rate, learn.flown) == (0.25, "best")
     assert learn == dataclasses.replace(
-        parse(program, "--preset", "paper").learn, residual=0.25, flown="best"
+        parse(program, "--preset", "paper").learn, average_rate=0.25, flown="best"
     )
 
 
@@ -105,8 +105,10 @@ def test_a_flag_that_repeats_the_default_wins_too():
     assert parse(mission, "--preset", "paper", "--retries", "2").retries == 2
 
 
-def test_the_segments_of_a_mission_learn_with_its_settings():
-    learn = parse(mission, "--preset", "paper", "--envs", "8", "--reward", "time").learn
+@pytest.mark.parametrize("more", [["--envs", "8", "--reward", "time"], ["--shield"]])
+def test_the_segments_of_a_mission_learn_with_its_settings(more):
+    learn = parse(mission, "--preset", "paper", *more).learn
+    assert learn.shield == ("--shield" in more)
     assert parse(segment, *learn_arguments(learn), "--preset", "paper").learn == learn
 
 
@@ -170,14 +172,13 @@ def test_without_demonstrations_the_law_never_flies(scene, monkeypatch):
     for _ in trainer.run():
         pass
     trainer.close()
-    assert trainer.learner.residual == 0.0
     assert trainer.learner.updates == config.updates
 
 
 def test_the_last_policy_is_flown_if_wanted(scene, monkeypatch):
     """Whatever its evaluation; the average of past actors is not evaluated at rate 0."""
     course = Course.segment(scene, (0,), 0)
-    last = {"flown": "last", "average_rate": 0.0, "residual": 0.0}
+    last = {"flown": "last", "average_rate": 0.0}
     small = LearnConfig(
         updates=24, extra_updates=0, envs=4, batch=8, width=8, demonstrations=64, eval_every=8,
         eval_episodes=2, actor_delay=0,
@@ -195,6 +196,6 @@ def test_the_last_policy_is_flown_if_wanted(scene, monkeypatch):
         pass
     trainer.close()
     assert trainer.best_update == 24
-    assert evaluated == [trainer.learner.actor] * 3  # none before learning: there is no law in it
+    assert evaluated == [trainer.learner.actor] * 3  # none before learning
     for name, value in trainer.learner.actor.state_dict().items():
         assert torch.equal(trainer.best_policy[name], value)

@@ -11,10 +11,14 @@ import time
 import numpy as np
 import pytest
 
+from mjcollect import shield_log
 from mjcollect.bounds import segment_bound
+from mjcollect.course import Course
 from mjcollect.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
+from train.flight_recorder import fly, fly_law
+from train.policies import TrainedPolicy
 from train.segment import main
 
 TINY = (  # noqa: SIM905 - reads like the command line
@@ -23,12 +27,13 @@ TINY = (  # noqa: SIM905 - reads like the command line
 ).split()
 FILES = {
     "config.json", "command.txt", "scene.json", "segment.json", "trajectory.csv", "path_3d.png",
-    "path_top.png", "learning.png", "metrics.csv", "policy.pt", "checkpoint",
+    "path_top.png", "learning.png", "metrics.csv", "policy.pt", "checkpoint", "shield.csv",
 }  # fmt: skip
 KEYS = {
     "scene", "segment", "order", "from", "to", "time", "lower_bound", "ratio", "detour_time",
     "success", "success_rate", "contacts", "violations", "train_seconds", "env_steps", "updates",
-    "seed", "versions",
+    "seed", "versions", "shield_share", "law_time", "mpc_time", "best_mean_time",
+    "last_mean_time", "last_success_rate",
 }  # fmt: skip
 
 
@@ -76,38 +81,60 @@ def test_result_agrees_with_its_trajectory(finished, scene_file):
 
 def test_same_seed_same_trajectory(finished, scene_file, tmp_path):
     run(scene_file, tmp_path / "again")
-    again = (tmp_path / "again" / "trajectory.csv").read_bytes()
-    assert again == (finished[0] / "trajectory.csv").read_bytes()
-    # Without the guidance law to start from, a few updates fly differently with every seed.
-    flown = []
-    for seed in ("0", "0", "1"):
-        out = tmp_path / f"plain{len(flown)}"
-        run(scene_file, out, "--residual", "0", "--seed", seed)
-        flown.append((out / "trajectory.csv").read_bytes())
-    assert flown[0] == flown[1] != flown[2]
-
-
-def test_never_slower_than_the_guidance_law_it_starts_from(finished):
-    rows = np.genfromtxt(finished[0] / "metrics.csv", delimiter=",", names=True)
-    assert rows["update"][0] == 0
-    assert rows["eval_success_rate"][0] == 1.0
-    assert rows["best_time"][-1] <= rows["eval_time"][0]
+    run(scene_file, tmp_path / "other", "--seed", "1")
+    again, other, first = (
+        (folder / "trajectory.csv").read_bytes()
+        for folder in (tmp_path / "again", tmp_path / "other", finished[0])
+    )
+    assert again == first != other
 
 
 def test_starts_from_a_policy_and_stops_at_once_if_it_is_good_enough(
-    finished, scene_file, tmp_path
+    pupil_file, scene_file, tmp_path
 ):
-    weights = ["--weights", str(finished[0] / "policy.pt"), "--gap", "60"]
+    weights = ["--weights", str(pupil_file), "--width", "64", "--gap", "60"]
     out = tmp_path / "out"
     assert run(scene_file, out, *weights) == 0
-    result, before = (json.loads((f / "segment.json").read_text()) for f in (out, finished[0]))
+    result = json.loads((out / "segment.json").read_text())
     assert (result["updates"], result["env_steps"]) == (0, 0)
-    assert result["time"] == before["time"]
-    one, two = (np.loadtxt(f / "trajectory.csv", delimiter=",", skiprows=1)
-                for f in (out, finished[0]))  # fmt: skip
-    np.testing.assert_array_equal(one, two)
+    course = Course.segment(Scene.load(scene_file), (0, 1), 1)
+    own = fly(course, [TrainedPolicy.load(pupil_file)])
+    flown = Trajectory.load(out / "trajectory.csv")
+    for name in ("t", "x", "v", "a"):
+        np.testing.assert_array_equal(getattr(flown, name), getattr(own.trajectory, name))
+    assert result["time"] == own.trajectory.duration
+    # The only evaluation is the best and the last; it beats nothing.
+    assert result["best_mean_time"] == result["last_mean_time"]
+    assert (result["success_rate"], result["last_success_rate"]) == (1.0, 1.0)
+    assert result["law_time"] == fly_law(course).trajectory.duration
+    assert result["law_time"] <= result["time"]
+    assert 0.0 < result["mpc_time"] <= result["law_time"] + 0.2
     assert run(scene_file, out, *weights, "--resume") == 0
     assert run(scene_file, out, "--resume") == 2  # other weights: none
+
+
+def test_without_plots_the_mpc_does_not_fly(scene_file, tmp_path, monkeypatch):
+    monkeypatch.setattr("train.segment.fly_mpc", lambda _: 1 / 0)
+    run(scene_file, tmp_path / "out", "--no-plots")
+    result = json.loads((tmp_path / "out" / "segment.json").read_text())
+    assert result["mpc_time"] is None
+    assert result["law_time"] > 0.0
+
+
+def test_the_share_of_slots_is_that_of_the_recorded_flight(finished, scene_file, tmp_path):
+    """Against the flight flown again; without the shield there is none, and it may crash."""
+    course = Course.segment(Scene.load(scene_file), (0, 1), 1)
+    for name, shield in (("with", True), ("without", False)):
+        out = tmp_path / name
+        run(scene_file, out, *([] if shield else ["--no-shield"]), "--no-plots")
+        own = fly(course, [TrainedPolicy.load(out / "policy.pt")], shield=shield)
+        result = json.loads((out / "segment.json").read_text())
+        assert result["shield_share"] == own.shield_share == np.mean(own.shielded)
+        assert (result["shield_share"] > 0.0) == shield
+        when = shield_log.load(out / "shield.csv")
+        assert np.ptp(when, axis=1).sum() == pytest.approx(sum(own.shielded) * 0.2)
+        config = json.loads((out / "config.json").read_text())
+        assert config["learn"]["shield"] is shield
 
 
 def test_resume_of_a_finished_run_prints_its_result(finished, scene_file, capsys):

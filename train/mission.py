@@ -24,7 +24,7 @@ from train.flight_recorder import fly
 from train.learn_config import LearnConfig
 from train.mission_display import MissionDisplay
 from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from, weights_file
+from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from
 from train.presets import PresetName, with_preset, with_slot
 from train.processes import warm_up
 from train.runs import (
@@ -109,8 +109,8 @@ def main(argv: list[str] | None = None) -> int:
 def train_mission(args: Args) -> int:
     """Order, learn, fly, judge, draw. Raises only before anything is written."""
     _check(args)
-    args, policy = _begin_from(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
+    args, policy = _begin_from(args)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
         from mjcollect.travel_cost import travel_times
@@ -199,7 +199,7 @@ def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
     """With the settings of the policy to start from, and that policy; or with none."""
     usual, learn = LearnConfig(), args.learn
     if args.weights == SHIPPED and not args.from_scratch:
-        shipped = TrainedPolicy.load(weights_file(SHIPPED))
+        shipped = start_from(SHIPPED, usual)[0]
         for field in ("observation", "width"):
             value, own = getattr(learn, field), getattr(shipped, field)
             if value not in (getattr(usual, field), own):
