@@ -27,20 +27,21 @@ from train.workers import Job
 TINY = (  # noqa: SIM905 - reads like the command line
     "--updates 24 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 --u2 4 "
     "--demonstrations 64 --eval-every 8 --eval-episodes 2 --threads 1 --no-video "
-    "--checkpoint-every 8"
+    "--checkpoint-every 8 --from-scratch"
 ).split()
 KEYS = {
     "scene", "order", "order_method", "success", "mission_time", "lower_bound", "bound_method",
     "ratio", "detour_time", "contacts", "violations", "segments", "train_seconds", "seed",
-    "versions",
+    "shield_share", "versions",
 }  # fmt: skip
 SEGMENT_KEYS = {
     "from", "to", "time", "lower_bound", "detour_time", "success", "success_rate",
-    "train_seconds", "env_steps", "updates",
+    "train_seconds", "env_steps", "updates", "shield_share",
 }  # fmt: skip
 FILES = {
     "config.json", "command.txt", "scene.json", "mission.json", "trajectory.csv", "path_3d.png",
     "path_top.png", "learning.png", "speed.png", "segments", "report.md",
+    "shield.csv",
 }  # fmt: skip
 
 
@@ -63,6 +64,8 @@ def test_leaves_the_files_of_the_contract(finished):
     assert all(set(entry) == SEGMENT_KEYS for entry in result["segments"])
     assert [(e["from"], e["to"]) for e in result["segments"]] == [(-1, 0), (0, 1), (1, -1)]
     assert code == (0 if result["success"] else 1)
+    assert 0.0 <= result["shield_share"] <= 1.0
+    assert result["segments"][0]["shield_share"] is not None  # begun in any case
     assert {path.name for path in (out / "segments").iterdir()} == {"0", "1", "2"}
 
 
@@ -117,7 +120,7 @@ def test_ctrl_c_exits_130_after_saving(scene_file, tmp_path):
 
 def test_an_imperfect_segment_is_trained_again_and_the_report_says_so(scene_file, tmp_path):
     out = tmp_path / "out"
-    untaught = ("--updates", "4", "--demonstrations", "0", "--residual", "0")
+    untaught = ("--updates", "4", "--demonstrations", "0")
     run(scene_file, out, "--retries", "1", *untaught)
     tried = sorted((out / "attempts").iterdir())
     assert tried[0].name == "0-0"  # four updates teach next to nothing
@@ -183,6 +186,36 @@ def test_no_plots_if_not_wanted(scene_file, tmp_path):
     fly([*law, "--overwrite"])
     assert {path.name for path in out.glob("*.png")} == {"path_3d.png", "path_top.png", "speed.png"}
     assert "speed.png" in (out / "report.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("planner", "more", "shield"),
+    [("guidance", [], True), ("guidance", ["--no-shield"], False), ("mpc", [], False)],
+)
+def test_planners_that_fly_without_the_shield_say_so(scene_file, tmp_path, planner, more, shield):
+    out = tmp_path / "out"
+    arguments = ["--planner", planner, "--scene", str(scene_file), "--out", str(out), *more]
+    assert fly([*arguments, "--no-video", "--no-plots"]) == 0
+    result = json.loads((out / "mission.json").read_text())
+    assert json.loads((out / "config.json").read_text())["shield"] is shield
+    assert result["shield_share"] == 0.0  # neither leaves it anything to do
+    assert [entry["shield_share"] for entry in result["segments"]] == [0.0] * 3
+    assert (out / "shield.csv").read_text() == "begin,end\n"
+    assert "The shield changed the command in 0.0% of the slots" in (out / "report.md").read_text()
+
+
+@pytest.mark.parametrize("shield", [True, False])
+def test_a_run_learned_without_the_shield_is_flown_without(finished, tmp_path, shield):
+    changed, out = tmp_path / "run", tmp_path / "out"
+    shutil.copytree(finished[0], changed)
+    config = json.loads((changed / "config.json").read_text())
+    assert config["learn"]["shield"] is True
+    config["learn"]["shield"] = shield
+    (changed / "config.json").write_text(json.dumps(config))
+    fly(["--run", str(changed), "--out", str(out), "--no-video", "--no-plots"])
+    assert json.loads((out / "config.json").read_text())["shield"] is shield
+    result = json.loads((out / "mission.json").read_text())
+    assert (result["shield_share"] > 0.0) <= shield
 
 
 def test_the_law_takes_no_credit_for_the_training(finished, tmp_path):
@@ -300,27 +333,40 @@ def test_ray_gives_the_same_as_local_workers(finished, scene_file, tmp_path):
     assert (out / "trajectory.csv").read_bytes() == (finished[0] / "trajectory.csv").read_bytes()
 
 
+def begun(scene_file, out, *words):
+    """Exit code, and the weights that a mission and its first segment began from."""
+    arguments = ["--scene", str(scene_file), "--out", str(out), "--no-video", "--no-plots"]
+    code = mission([*arguments, "--retries", "0", *words])
+    config = json.loads((out / "config.json").read_text())
+    segment = out / "segments" / "0" / "config.json"
+    assert json.loads(segment.read_text())["weights"] == config["weights"]
+    return code, config["weights"]
+
+
+@pytest.mark.parametrize("pupil_file", ["robust"], indirect=True)
+def test_starts_from_a_policy_if_one_is_given(scene_file, pupil_file, tmp_path):
+    out = tmp_path / "out"
+    few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
+    own = ("--weights", str(pupil_file), "--observation", "robust", "--width", "64")
+    code, weights = begun(scene_file, out, *few, *own)
+    assert (code, weights) == (0, digest(pupil_file))
+    policies = [TrainedPolicy.load(path / "policy.pt") for path in (out / "segments").iterdir()]
+    assert {(policy.observation, policy.width) for policy in policies} == {("robust", 64)}
+    assert begun(scene_file, tmp_path / "scratch", *TINY)[1] is None
+
+
 def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path, capsys):
     """`--width 8` of TINY asks for another network, which says so and learns from nothing."""
-
-    def weights_of(name, *words):
-        arguments = ["--scene", str(scene_file), "--out", str(tmp_path / name), "--no-video"]
-        code = mission([*arguments, "--no-plots", *words])
-        config = json.loads((tmp_path / name / "config.json").read_text())
-        segment = tmp_path / name / "segments" / "0" / "config.json"
-        assert json.loads(segment.read_text())["weights"] == config["weights"]
-        return code, config["weights"], json.loads((tmp_path / name / "mission.json").read_text())
-
-    assert weights_of("tiny", *TINY, "--retries", "0")[1] is None
+    tiny = [word for word in TINY if word != "--from-scratch"]
+    assert begun(scene_file, tmp_path / "tiny", *tiny)[1] is None
     assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
-    few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8", "--retries", "0")
-    code, weights, _ = weights_of("shipped", *few, "--observation", "robust", "--width", "192")
+    few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
+    out = tmp_path / "shipped"
+    code, weights = begun(scene_file, out, *few, "--observation", "robust", "--width", "192")
     assert (code, weights) == (0, digest(SHIPPED))
     assert "from scratch" not in capsys.readouterr().err
-    segments = (tmp_path / "shipped" / "segments").iterdir()
-    policies = [TrainedPolicy.load(segment / "policy.pt") for segment in segments]
+    policies = [TrainedPolicy.load(path / "policy.pt") for path in (out / "segments").iterdir()]
     assert {(policy.observation, policy.width) for policy in policies} == {("robust", 192)}
-    assert weights_of("scratch", *TINY, "--retries", "0", "--from-scratch")[1] is None
 
 
 @pytest.mark.parametrize(

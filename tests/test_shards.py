@@ -63,7 +63,7 @@ def fly(env, steps, rng, now):
         step["action"] = torch.from_numpy(rng.uniform(-1, 1, (5, 3))).float()
         step, now = env.step_and_maybe_reset(step)
         names = ("observation", "reward", "terminated", "truncated", "success", "crashed")
-        seen.append([step["next"][name].numpy() for name in names])
+        seen.append([step["next"][name].numpy() for name in (*names, "shielded")])
         seen[-1] += [now["observation"].numpy(), env.simulations.law()]
     return seen, now
 
@@ -76,6 +76,7 @@ def test_are_those_of_this_process_bit_for_bit(crew, makes):
     saved = sharded.state_dict()
     ends = sum(int((row[2] | row[3]).sum()) for row in whole)
     assert ends > 3
+    assert sum(int(row[6].sum()) for row in whole) > 3  # the shield acts over there too
 
     for part, (make, count) in enumerate(zip(makes, COUNTS, strict=True)):
         rows = slice(sum(COUNTS[:part]), sum(COUNTS[:part]) + count)
