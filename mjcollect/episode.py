@@ -17,10 +17,10 @@ from mjcollect.course import Course
 from mjcollect.disturbance import MARGIN, REST_SPEED, Disturbances
 from mjcollect.flight import BOUNDS_TOLERANCE, Bools, Slot, World, command, judge, shield
 from mjcollect.geometry import FAR, Array
-from mjcollect.observation import ADAPTIVE, OBSERVATIONS, Parts, State
-from mjcollect.reward import PRESETS, Approach
+from mjcollect.guidance import STOP_SHARE
+from mjcollect.observation import ADAPTIVE, FRAMED, OBSERVATIONS, Parts, State
+from mjcollect.reward import LOOK_AHEAD, PRESETS, Approach
 
-LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
 SAVED = (
     "truth",
     "observed",
@@ -109,6 +109,7 @@ class Episodes:
         self.disturbances = disturbances
         scenes = [course.scene for course in courses]
         self._adapts = rules.observation in ADAPTIVE
+        self._framed = rules.observation in FRAMED
         if self._adapts or disturbances is not None:  # each has a world of its own
             scenes = [self.course(index).scene for index in range(count)]
         elif all(scene is scenes[0] for scene in scenes):
@@ -190,8 +191,14 @@ class Episodes:
         self._approach = self._look()
 
     def begin_slot(self, action: Array) -> Array:
-        """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3)."""
+        """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3).
+
+        Actions are in units of a_max, in the frame of the path with an observation in FRAMED.
+        """
         goal, tolerance = self._goal[self.target], self._tolerance[self.target]
+        if self._framed:
+            known = np.where(np.isfinite(action), action, 0.0)
+            action = np.einsum("nk,nkj->nj", known, self._approach.frame)
         self.commanded, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
         if self.rules.shield:
             shield(
@@ -290,6 +297,8 @@ class Episodes:
         if self._adapts:
             law *= adaptation.usable(self._gain, self._push)
             law = adaptation.counter(law, self._gain, self._push)
+        if self._framed:
+            law = np.einsum("nj,nkj->nk", law, self._approach.frame)
         return law
 
     def _notice(self) -> None:
@@ -313,7 +322,11 @@ class Episodes:
             closing=np.empty(self.count),
             returning=np.empty(self.count, dtype=bool),
             ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
-            slack=np.empty(self.count),
+            near=np.empty(self.count),
+            far=np.empty(self.count),
+            heading=np.empty((self.count, 3)),
+            after=np.zeros((self.count, 3)),
+            frame=np.empty((self.count, 3, 3)),
             onward=np.zeros(self.count),
         )
         self._look_anew(approach, self._all)
@@ -327,6 +340,7 @@ class Episodes:
                 guide.way,
                 mine,
                 guide.goal,
+                STOP_SHARE * guide.tolerance,
                 LOOK_AHEAD,
                 self.q,
                 self.v,
@@ -334,13 +348,19 @@ class Episodes:
                 approach.distance,
                 approach.direction,
                 approach.closing,
+                approach.near,
+                approach.far,
                 approach.ahead,
+                approach.heading,
             )
-            approach.slack[mine] = guide.slack
             if guide.beyond is not None:
-                extra = np.linalg.norm(guide.goal - guide.beyond)
+                extra = float(np.linalg.norm(guide.goal - guide.beyond))
+                approach.after[mine] = (guide.beyond - guide.goal) / max(extra, 1e-9)
                 approach.onward[mine] = np.linalg.norm(self.q[mine] - guide.beyond, axis=-1) - extra
             approach.returning[mine] = self._node[target] < 0
+            frame = np.empty((len(mine), 3, 3))
+            kernels.frames(approach.heading[mine], frame)
+            approach.frame[mine] = frame
 
     def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
         """The episodes `which` in groups with the same current target."""

@@ -1,6 +1,8 @@
 """The named observations, vectorised over N simulations.
 
-`guided`, the default, works for any number of obstacles and items. `robust` adds what kept the
+`guided`, the default of the environments, works for any number of obstacles and items. `path`, what
+policies learn from by default, is the same as seen from the path, and so are the actions. `robust`
+adds what kept the
 flight from its commands,. `paper` is the state S = {q, v, l, m, p} of the
 paper's section IV-B. All return named parts, each (N, d), in order.
 """
@@ -13,12 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect import kernels
+from mjcollect.compiled import plain
 from mjcollect.flight import Bools, World
 from mjcollect.geometry import FAR, Array, nearest_point_offset
-from mjcollect.reward import Approach
+from mjcollect.reward import LOOK_AHEAD, Approach
 
 NEAREST_BOXES = 4
 REACH = 30.0  # metres at which boxes and walls begin to matter to the `guided` observation
+WIDTHS = {  # parts of `guided`, in natural units: v_max, a_max, the distance of a stop from v_max
+    "velocity": 3,
+    "slowness": 3,  # the velocity where it is small
+    "guide_direction": 3,
+    "guide_ahead": 3 * (len(LOOK_AHEAD) - 1),  # the first point lies straight ahead
+    "guide_distance": 3,
+    "goal_offset": 9,
+    "braking": 7,
+    "boxes": 3 * NEAREST_BOXES,
+    "walls": 6,
+    "rest": 6,  # where full braking would end, as seen from the goal
+    "next_direction": 3,
+}
 Parts = dict[str, Array]
 
 
@@ -60,38 +76,41 @@ class State:
 
 
 def guided(world: World, state: State) -> Parts:
-    """Velocity, shortest-path guidance, goal offset at three scales, nearest boxes and walls."""
+    """Velocity, shortest-path guidance, the goal, braking, nearest boxes and walls; see WIDTHS."""
+    return _seen(world, state, np.broadcast_to(np.eye(3), (len(state.q), 3, 3)))
+
+
+def path(world: World, state: State) -> Parts:
+    """`guided` with vectors in the frame of the path; `guide_direction` and walls stay as they are.
+
+    With it actions are in that frame too, see `Approach.frame`.
+    """
+    return _seen(world, state, state.approach.frame)
+
+
+def _seen(world: World, state: State, frame: Array) -> Parts:
+    """The parts of `guided` with vectors in frames (N, 3, 3)."""
     approach = state.approach
-    bends = approach.ahead.shape[1] - 1
-    widths = {
-        "velocity": 3,
-        "guide_direction": 3,
-        "guide_ahead": 3 * bends,  # the first point lies straight ahead
-        "guide_distance": 3,
-        "goal_offset": 9,
-        "speeds": 3,
-        "braking": 4,
-        "boxes": 3 * NEAREST_BOXES,
-        "walls": 6,
-    }
-    flat = np.empty((len(state.q), sum(widths.values())))
+    flat = np.empty((len(state.q), sum(WIDTHS.values())))
     kernels.guided(
         world,
         state.q,
         state.v,
         approach.offset,
-        approach.distance,
         approach.direction,
         approach.closing,
+        approach.near,
+        approach.far,
         approach.ahead,
-        approach.slack,
+        approach.after,
+        plain(frame),
         NEAREST_BOXES,
         REACH,
         FAR,
         flat,
     )
     parts, end = {}, 0
-    for name, width in widths.items():
+    for name, width in WIDTHS.items():
         parts[name] = flat[:, end : end + width]
         end += width
     return parts
@@ -129,5 +148,6 @@ def robust(world: World, state: State) -> Parts:
     }
 
 
-OBSERVATIONS = {"guided": guided, "paper": paper, "robust": robust}
+OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}
+FRAMED = ("path",)  # actions are in the frame of the path as well
 ADAPTIVE = ("robust",)  # the guidance law adapts to the disturbances that they show

@@ -1,6 +1,7 @@
 """Reward presets, vectorised over N simulations.
 
-`time`, the default: minus the time flown, shaped by a discount-consistent potential of the least
+`lost`, what policies learn from by default: minus the time lost against the least time to go.
+`time`: minus the time flown, shaped by a discount-consistent potential of the least
 time to go. `careful`: the same with a crash that costs more, for flights that are disturbed.
 `paper`: r1..r6 of the paper's section V-A to the letter.
 """
@@ -20,6 +21,7 @@ from mjcollect.geometry import Array
 
 CRASH = -2.0  # `time`: flat, with no potential term
 CAREFUL_CRASH = -10.0  # at -2 a policy in wind risks crashes for tenths of a second
+LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
 TIME_CAP = 60.0  # seconds; the time to go in the potential saturates here
 R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # paper, section V-A
 
@@ -46,10 +48,14 @@ class Approach:
 
     Attributes:
         offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
-        direction: (N, 3) unit vectors of that path. closing: (N,) speed along it.
+        direction: (N, 3) unit vectors of that path. closing: (N,) speed along `heading`.
         returning: (N,) whether the target is the depot.
         ahead: (N, A, 3) from the body to points farther along the path.
-        slack: (N,) metres by which a stop may miss the end of the path, along it.
+        near, far: (N,) metres along the path to where it enters the goal's ball and leaves it.
+        heading: (N, 3) unit vector along which near, far and closing are told: `direction`, or the
+            velocity's where that leads straight into the ball.
+        after: (N, 3) unit vector from the target to the tour's next; zero where the tour ends.
+        frame: (N, 3, 3) axes of the path: along `heading`, level to its left, and upwards.
         onward: (N,) metres by which the tour's next target is farther from the body than from the
             current target; 0 where the tour ends.
     """
@@ -60,14 +66,22 @@ class Approach:
     closing: Array
     returning: Bools
     ahead: Array
-    slack: Array
+    near: Array
+    far: Array
+    heading: Array
+    after: Array
+    frame: Array
     onward: Array
+
+    def time_to_go(self, world: World) -> Array:
+        """Least time (N,) in s to come to rest in the goal's ball, on a line along the path."""
+        middle, half = (self.near + self.far) / 2, (self.far - self.near) / 2
+        return time_to_go(world, middle, self.closing, half)
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:
     """Minus the discounted time to go (N,): the return of flying on and arriving on time."""
-    time = time_to_go(world, approach.distance, approach.closing, approach.slack)
-    slots = time / world.slot
+    slots = approach.time_to_go(world) / world.slot
     return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
 
 
@@ -87,6 +101,18 @@ def time_reward(
     ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
     return np.where(slot.crashed, crash, shaped)
+
+
+def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
+    """Minus the seconds lost in the slot: flown, less what the least time to go fell by. (N,).
+
+    `time` without the discount in its potential, so that a second counts the same wherever it is
+    lost, and a short horizon sees what an action costs. On arrival as `time`.
+    """
+    stopped = after.onward / world.v_max[..., 0]
+    left = np.where(slot.arrived, stopped, after.time_to_go(world))
+    lost = world.slot + left - before.time_to_go(world)
+    return np.where(slot.crashed, CRASH, -lost)
 
 
 def paper_reward(
@@ -110,6 +136,7 @@ class Preset:
 # a slot: there it is charged per slot and motion goes on by (2)-(3).
 PRESETS = {
     "time": Preset(time_reward, True),
+    "lost": Preset(lost_reward, True),
     "careful": Preset(partial(time_reward, crash=CAREFUL_CRASH), True),
     "paper": Preset(paper_reward, False),
 }

@@ -28,7 +28,6 @@ from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
 from train.pool import draw_leg
 from train.runs import RunFolder
 
-
 pytestmark = pytest.mark.parametrize("pupil_file", ["robust"], indirect=True, scope="session")
 
 

@@ -43,7 +43,7 @@ class LearnConfig:
     """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
     actor_delay: int = 300
     """Updates of the critic alone before the actor's begin."""
-    gamma: float = 0.99
+    gamma: float = 0.95
     """Discount factor per slot."""
     alpha_actor: float = 1e-3
     """alpha^(theta): learning rate of the actor at the start."""
@@ -74,11 +74,11 @@ class LearnConfig:
     """Starts of an evaluation: the segment's own point, then seeded ones all over its ball."""
     threads: int = 1
     """MuJoCo's threads; the results do not depend on them."""
-    observation: str = "guided"
-    """Observation: guided, robust (guided, and what last kept the flight from its command), or
-    paper."""
-    reward: str = "time"
-    """Reward preset: time, careful (crashes cost more) or paper."""
+    observation: str = "path"
+    """Observation: path (guided, as seen from the path), guided, robust (guided, and what last kept
+    the flight from its command), or paper."""
+    reward: str = "lost"
+    """Reward preset: lost, time, careful (crashes cost more) or paper."""
     shield: bool = True
     """Bend commands that leave no way to stop without touching anything; else a crash ends an
     episode."""

@@ -13,12 +13,12 @@ elsewhere would go unnoticed in the cache, see `compiled`.
 from mjcollect.kernels.boxes import segment_gaps, segments_clear
 from mjcollect.kernels.flight import command, events, project, try_starts
 from mjcollect.kernels.law import law
-from mjcollect.kernels.observation import guided, look
+from mjcollect.kernels.observation import frames, guided, look
 from mjcollect.kernels.reward import time_to_go
 from mjcollect.kernels.shield import shield
 from mjcollect.kernels.way import interpolate, query
 
 __all__ = [
-    "command", "events", "guided", "interpolate", "law", "look", "project", "query", "segment_gaps",
+    "command", "events", "frames", "guided", "interpolate", "law", "look", "project", "query", "segment_gaps",
     "segments_clear", "shield", "time_to_go", "try_starts",
 ]  # fmt: skip

@@ -10,28 +10,64 @@ import numpy as np
 from mjcollect.compiled import Array, Indices, compiled
 from mjcollect.kernels.boxes import box_offset
 from mjcollect.kernels.flight import scene_of
-from mjcollect.kernels.vectors import dot
+from mjcollect.kernels.stop import chord
+from mjcollect.kernels.vectors import dot, norm, unit
 from mjcollect.kernels.way import query_row
 
 if TYPE_CHECKING:
     from mjcollect.flight import World
     from mjcollect.guidance import Way
 
+STEEP = 0.05  # share of a path that is level, below which its frame keeps to the x axis
+
+
+@compiled
+def stretch_row(
+    way: Way, goal: Array, radius: float, left: float, chosen: int, q: Array, direction: Array
+) -> tuple[float, float]:
+    """Metres along the path to where it enters the goal's ball, and to where it would leave it.
+
+    Exact where the end of the path is in sight; else by its last piece.
+    """
+    last, towards = len(way.points) - 1, np.empty(3)
+    if chosen == last or last == 0:
+        middle, half = chord(goal, radius, q, direction)
+        if half < 0.0:  # beside it, as when the way bends
+            return left, left
+        return max(middle - half, 0.0), max(middle + half, 0.0)
+    for k in range(3):
+        towards[k] = way.points[last, k] - way.points[last - 1, k]
+    whole = unit(towards, towards)
+    middle, half = chord(goal, radius, way.points[last - 1], towards)
+    half = max(half, 0.0)
+    return max(left - whole + middle - half, 0.0), max(left - whole + middle + half, 0.0)
+
 
 @compiled
 def look(
-    way: Way, which: Indices, goal: Array, strides: Array, q: Array, v: Array,
-    offset: Array, distance: Array, direction: Array, closing: Array, ahead: Array,
+    way: Way, which: Indices, goal: Array, radius: float, strides: Array, q: Array, v: Array,
+    offset: Array, distance: Array, direction: Array, closing: Array, near: Array, far: Array,
+    ahead: Array, heading: Array,
 ) -> None:  # fmt: skip
-    """How the simulations `which` stand towards a goal (3,), see `reward.Approach`.
+    """How the simulations `which` stand towards a goal (3,) with a ball, see `reward.Approach`.
 
+    Where the body flies straight into the ball in sight, it is seen along its velocity: what is
+    left is to stop in time. Else along the path.
     The points `ahead`, `strides` metres from one to the next, show bends before they are reached.
     """
     point, towards = np.empty(3), np.empty(3)
     for i in which:
-        left, _ = query_row(way, q[i], direction[i])
+        left, chosen = query_row(way, q[i], direction[i])
         distance[i] = left
         closing[i] = dot(v[i], direction[i])
+        near[i], far[i] = stretch_row(way, goal, radius, left, chosen, q[i], direction[i])
+        heading[i] = direction[i]
+        speed = unit(v[i], towards)
+        if chosen == len(way.points) - 1 and speed > 1.0:
+            middle, half = chord(goal, radius, q[i], towards)
+            if half >= 0.0 and middle + half > 0.0:
+                near[i], far[i] = max(middle - half, 0.0), middle + half
+                heading[i], closing[i] = towards, speed
         for k in range(3):
             offset[i, k] = goal[k] - q[i, k]
             point[k], towards[k] = q[i, k], direction[i, k]
@@ -70,50 +106,103 @@ def nearest_boxes(
 
 
 @compiled
+def frame_row(direction: Array, frame: Array) -> None:
+    """Axes (3, 3) of a path: along it, level to its left, and upwards from both."""
+    x, y = direction[0], direction[1]
+    level = math.sqrt(x * x + y * y)
+    if level < STEEP:
+        x, y, level = 1.0, 0.0, 1.0
+    frame[0] = direction
+    # Where the path is steep, x is not along it: what of `left` is along the path goes.
+    left = np.array([-y / level, x / level, 0.0])
+    along = dot(left, direction)
+    for k in range(3):
+        left[k] -= along * direction[k]
+    unit(left, frame[1])
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        frame[2, k] = direction[i] * frame[1, j] - direction[j] * frame[1, i]
+
+
+@compiled
+def frames(direction: Array, frame: Array) -> None:
+    """`frame_row` of each (N, 3)."""
+    for i in range(len(direction)):
+        frame_row(direction[i], frame[i])
+
+
+@compiled
+def seen_from(frame: Array, vector: Array, scale: float, to: Array) -> None:
+    """A vector over a scale, in a frame."""
+    for k in range(3):
+        to[k] = dot(frame[k], vector) / scale
+
+
+@compiled
+def squash(vector: Array) -> None:
+    """tanh of each component."""
+    for k in range(len(vector)):
+        vector[k] = math.tanh(vector[k])
+
+
+@compiled
 def guided(
-    world: World, q: Array, v: Array, goal_offset: Array, distance: Array, direction: Array,
-    closing: Array, ahead: Array, slack: Array,
-    nearest: int, reach: float, far: float, out: Array,
+    world: World, q: Array, v: Array, goal_offset: Array, direction: Array, closing: Array,
+    near: Array, far: Array, ahead: Array, after: Array, frame: Array,
+    nearest: int, reach: float, beyond: float, out: Array,
 ) -> None:  # fmt: skip
     """See `observation.guided`; the parts one after another, in the order of `GUIDED`."""
-    gaps, offset = np.empty(nearest), np.empty(3)
+    gaps, offset, boxes, rest = np.empty(nearest), np.empty(3), np.empty(3 * nearest), np.empty(3)
     for i in range(len(q)):
-        w, row, at = scene_of(world, i), out[i], 0
+        w, row, at, axes = scene_of(world, i), out[i], 0, frame[i]
         a_max, v_max, bounds = world.a_max[w, 0], world.v_max[w, 0], world.bounds[w]
+        stopping, change = v_max**2 / (2 * a_max), a_max * world.slot
+        seen_from(axes, v[i], v_max, row[0:3])
+        seen_from(axes, v[i], 2 * change, row[3:6])
+        squash(row[3:6])
         for k in range(3):
-            row[at + k] = v[i, k] / v_max
-            row[at + 3 + k] = direction[i, k]
-        at += 6
+            row[6 + k] = direction[i, k]
+        at = 9
         for a in range(1, ahead.shape[1]):
-            for k in range(3):
-                row[at + k] = ahead[i, a, k] / 100
+            seen_from(axes, ahead[i, a], 1.6 * stopping, row[at : at + 3])
             at += 3
-        row[at] = distance[i] / 300
-        row[at + 1] = math.tanh(distance[i] / 60)
-        row[at + 2] = math.tanh(distance[i] / 12)
+        row[at] = near[i] / (5 * stopping)
+        row[at + 1] = math.tanh(near[i] / stopping)
+        row[at + 2] = math.tanh(5 * near[i] / stopping)
         at += 3
-        for k in range(3):
-            row[at + k] = goal_offset[i, k] / 300
-            row[at + 3 + k] = math.tanh(goal_offset[i, k] / 60)
-            row[at + 6 + k] = math.tanh(goal_offset[i, k] / 12)
+        seen_from(axes, goal_offset[i], 5 * stopping, row[at : at + 3])
+        seen_from(axes, goal_offset[i], stopping, row[at + 3 : at + 6])
+        seen_from(axes, goal_offset[i], stopping / 5, row[at + 6 : at + 9])
+        squash(row[at + 3 : at + 9])
         at += 9
-        # Along the path, across it, and how much faster than one can still stop.
-        fastest = min(math.sqrt(2 * a_max * distance[i]), v_max)
-        row[at] = closing[i] / v_max
-        row[at + 1] = math.sqrt(max(dot(v[i], v[i]) - closing[i] ** 2, 0.0)) / v_max
-        row[at + 2] = math.tanh((closing[i] - fastest) / 10)
-        at += 3
-        # Share of a_max that a stop takes at the near and the far end of what will do; and by how
-        # many metres full braking overshoots the near end, begun now or a slot later.
-        braking = max(closing[i], 0.0) ** 2 / (2 * a_max)
-        first, last = max(distance[i] - slack[i], 0.0), distance[i] + slack[i]
-        row[at] = min(braking / max(first, 0.1), 2.0)
-        row[at + 1] = min(braking / max(last, 0.1), 2.0)
-        row[at + 2] = math.tanh((braking - first) / 5)
-        row[at + 3] = math.tanh((braking + max(closing[i], 0.0) * world.slot - first) / 5)
-        at += 4
-        nearest_boxes(world.boxes[w], q[i], reach, far, gaps, offset, row[at : at + 3 * nearest])
-        at += 3 * nearest
+        # How much faster than one can still stop; share of a_max that a stop takes at the near
+        # and the far end of what will do; and by how many metres full braking overshoots the near
+        # end, begun now or a slot later.
+        speed = max(closing[i], 0.0)
+        braking = speed**2 / (2 * a_max)
+        first, last = near[i], far[i]
+        fastest = min(math.sqrt(2 * a_max * first), v_max)
+        row[at] = math.tanh((closing[i] - fastest) / (2.5 * change))
+        row[at + 1] = min(braking / max(first, 0.1), 2.0)
+        row[at + 2] = min(braking / max(last, 0.1), 2.0)
+        row[at + 3] = math.tanh((braking - first) / 5)
+        row[at + 4] = math.tanh((braking + speed * world.slot - first) / 5)
+        row[at + 5] = math.tanh(braking - first)
+        row[at + 6] = math.tanh(braking + speed * world.slot - first)
+        at += 7
+        nearest_boxes(world.boxes[w], q[i], reach, beyond, gaps, offset, boxes)
+        for b in range(nearest):
+            seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[at : at + 3])
+            at += 3
         for k in range(3):
             row[at + k] = math.tanh((q[i, k] - bounds[0, k]) / reach)
             row[at + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / reach)
+        at += 6
+        # Where full braking from now on would end, as seen from the goal; where the tour goes on.
+        size = norm(v[i])
+        for k in range(3):
+            rest[k] = v[i, k] * (size / (2 * a_max)) - goal_offset[i, k]
+        seen_from(axes, rest, 20.0, row[at : at + 3])
+        seen_from(axes, rest, 4.0, row[at + 3 : at + 6])
+        squash(row[at : at + 6])
+        seen_from(axes, after[i], 1.0, row[at + 6 : at + 9])
