@@ -19,6 +19,6 @@ from mjcollect.kernels.shield import shield
 from mjcollect.kernels.way import interpolate, query
 
 __all__ = [
-    "command", "events", "frames", "guided", "interpolate", "law", "look", "project", "query", "segment_gaps",
-    "segments_clear", "shield", "time_to_go", "try_starts",
+    "command", "events", "frames", "guided", "interpolate", "law", "look", "project", "query",
+    "segment_gaps", "segments_clear", "shield", "time_to_go", "try_starts",
 ]  # fmt: skip
