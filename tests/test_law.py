@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from crowds import FLAT, RADIUS, Flown, crowded, gaps, least_gap
+from crowds import FLAT, RADIUS, Flown, crowded
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mjcollect.bounds import detour_bound, leg_time
 from mjcollect.course import Course
 from mjcollect.episode import Episodes, Rules
-from mjcollect.flight import World
 from mjcollect.generate import generate
-from mjcollect.kernels.law import FREE_ROOM, can_stop, stopping
+from mjcollect.kernels.law import stopping
 from mjcollect.scene import Scene
 
 SLOT, A_MAX, V_MAX = 0.2, 20.0, 50.0
@@ -209,58 +208,6 @@ def test_to_an_item_close_to_a_box(room):
         assert flies_clear(flown, course)
 
 
-def brake_to_rest(q, v, a, slot, step):
-    """Positions (T, 3) of a slot of acceleration a and of braking slots, as MuJoCo flies them."""
-    path, n = [q], round(slot / step)
-    while True:
-        for _ in range(n):
-            v = v + a * step
-            path.append(path[-1] + v * step)
-        speed = np.linalg.norm(v)
-        if speed < 1e-9:
-            return np.array(path)
-        a = -v / speed * min(A_MAX, speed / slot)
-
-
-@pytest.mark.parametrize("slot", [0.2, 1.0])
-def test_can_stop_is_what_flying_it_shows(slot):
-    """Against slots flown step by step and distances sampled densely, in a box with boxes."""
-    rng, answers = np.random.default_rng(5), []
-    bounds = np.array([[0.0, 0, 0], [60, 60, 60]])
-    while len(answers) < 400:
-        low = rng.uniform(0, 45, (4, 3))
-        boxes = np.stack([low, low + rng.uniform(2, 15, (4, 3))], axis=1)
-        world = World(
-            bounds=bounds[None],
-            boxes=boxes[None],
-            v_max=np.array([[V_MAX]]),
-            a_max=np.array([[A_MAX]]),
-            radius=np.array([[RADIUS]]),
-            slot=slot,
-            step=0.02,
-            substeps=round(slot / 0.02),
-        )
-        q, v, a = rng.uniform(0, 60, 3), rng.normal(size=3), rng.normal(size=3)
-        if gaps(q[None], boxes)[0] <= RADIUS + FREE_ROOM:
-            continue
-        v *= rng.uniform(0, 25) / np.linalg.norm(v)
-        a *= rng.uniform(0, A_MAX) / np.linalg.norm(a)
-        answers.append(can_stop(world, 0, q, v, a))
-        path = brake_to_rest(q, v, a, slot, world.step)
-        room = least_gap(path, boxes) - RADIUS
-        inside = min((path - bounds[0]).min(), (bounds[1] - path).min())
-        if answers[-1]:
-            assert room >= FREE_ROOM - 1e-9
-            assert inside >= 0.0
-        else:  # it asks for little more: continuous braking takes v step / 2 longer
-            last = path[-1] - path[-2]
-            end = path[-1] + last / max(np.linalg.norm(last), 1e-9) * 0.3
-            room = min(room, least_gap(np.array([path[-1], end]), boxes) - RADIUS)
-            inside = min(inside, (end - bounds[0]).min(), (bounds[1] - end).min())
-            assert room < FREE_ROOM + 0.1 or inside < 0.1 + A_MAX * slot**2 / 8
-    assert 80 < sum(answers) < 320
-
-
 @pytest.mark.parametrize("outside", [1e-13, 9e-7])
 def test_it_leaves_a_bound_that_rounding_has_put_it_beyond(outside):
     course = Course.segment(scene([]), (0,), 0)
@@ -268,23 +215,6 @@ def test_it_leaves_a_bound_that_rounding_has_put_it_beyond(outside):
     flown = Flown(course, 3, places=(q, np.zeros_like(q)))
     assert flown.won.all()
     assert flies_clear(flown, course)
-
-
-def test_beside_a_box_it_may_go_but_not_nearer():
-    world = World(
-        bounds=FLAT[None],
-        boxes=np.array([[[[100.0, 20, 20], [120, 40, 40]]]]),
-        v_max=np.array([[V_MAX]]),
-        a_max=np.array([[A_MAX]]),
-        radius=np.array([[RADIUS]]),
-        slot=0.2,
-        step=0.02,
-        substeps=10,
-    )
-    q, v, up = np.array([99.45, 30, 30]), np.zeros(3), np.array([0.0, 0, 1])
-    assert can_stop(world, 0, q, v, 20 * up)
-    assert can_stop(world, 0, q, v, np.array([-20.0, 0, 0]))
-    assert not can_stop(world, 0, q, v, np.array([0.5, 0, 10]))
 
 
 @settings(deadline=None)
