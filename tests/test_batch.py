@@ -157,7 +157,9 @@ def test_bit_for_bit_with_a_scene_of_its_own_for_each(
 
 def test_bit_for_bit_through_lasting_contact(blocked_course, simulate):
     """Flown on after the crash, pushed against a box: a step must not remember the one before."""
-    sims, alone = simulate([blocked_course], 2), [Alone(blocked_course, Rules()) for _ in range(2)]
+    rules = Rules(shield=False)
+    sims = simulate([blocked_course], 2, rules=rules)
+    alone = [Alone(blocked_course, rules) for _ in range(2)]
     q, v = np.array([[189.3, 20, 30], [188.0, 25, 40]]), np.array([[0.0, 0, 0], [10, 3, 0]])
     for index, one in enumerate(alone):
         one.begin(q[index], v[index])

@@ -237,8 +237,8 @@ def test_a_slot_is_judged_by_its_first_event():
 @pytest.mark.parametrize(
     ("fields", "named"),
     [
-        ({"observation": "guide"}, "observation: 'guide': must be one of guided, paper"),
-        ({"reward": "fast"}, "reward: 'fast': must be one of time, careful, paper"),
+        ({"observation": "guide"}, "observation: 'guide': must be one of guided, path, paper"),
+        ({"reward": "fast"}, "reward: 'fast': must be one of time, lost, careful, paper"),
         ({"gamma": 1.0}, "gamma: 1.0"),
     ],
 )

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from mjcollect.course import Course
-from mjcollect.observation import ADAPTIVE
 from train import generalist, learning_loop
 from train.mission_report import read_metrics
 from train.policies import TrainedPolicy
@@ -31,7 +30,8 @@ def finished(tmp_path_factory):
 
 def test_leaves_a_policy_that_loads_and_what_it_came_from(finished):
     policy = TrainedPolicy.load(finished / "policy.safetensors")
-    assert policy.observation in ADAPTIVE
+    config = json.loads((finished / "config.json").read_text())
+    assert policy.observation == config["learn"]["observation"]
     size = next(policy.actor.parameters()).shape[1]
     actions = policy(np.zeros((3, size), dtype=np.float32))
     assert actions.shape == (3, 3)

@@ -362,11 +362,11 @@ def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path,
     assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
     few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
     out = tmp_path / "shipped"
-    code, weights = begun(scene_file, out, *few, "--observation", "robust", "--width", "192")
+    code, weights = begun(scene_file, out, *few, "--width", "192")
     assert (code, weights) == (0, digest(SHIPPED))
     assert "from scratch" not in capsys.readouterr().err
     policies = [TrainedPolicy.load(path / "policy.pt") for path in (out / "segments").iterdir()]
-    assert {(policy.observation, policy.width) for policy in policies} == {("robust", 192)}
+    assert {(policy.observation, policy.width) for policy in policies} == {("path", 192)}
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_guided_has_one_width_for_any_number_of_boxes_and_items(courses):
         widths.append({name: part.shape[1] for name, part in parts.items()})
     assert widths[0] == widths[1] == widths[2]
     known = {"velocity": 3, "guide_direction": 3, "guide_distance": 3, "goal_offset": 9}
-    known |= {"speeds": 3, "boxes": 3 * NEAREST_BOXES, "walls": 6}
+    known |= {"braking": 7, "boxes": 3 * NEAREST_BOXES, "walls": 6}
     assert known.items() <= widths[0].items()
 
 
@@ -97,6 +97,23 @@ def test_paper_parts_by_hand(courses):
         assert parts["p"][i].tolist() == [float(flag) for flag in flags[i]]
 
 
+def stretch(guide, q, v, direction):
+    """Metres to where a ray enters and leaves the goal's ball, and the speed along it.
+
+    Along the velocity where that leads into the ball, else along the path; by the quadratic.
+    """
+    speed, radius = float(np.linalg.norm(v)), 0.98 * guide.tolerance
+    for unit, along in ((v / max(speed, 1e-9), speed), (direction, float(v @ direction))):
+        if unit is not direction and speed <= 1.0:
+            continue
+        roots = np.roots(
+            [1.0, 2 * unit @ (q - guide.goal), (q - guide.goal) @ (q - guide.goal) - radius**2]
+        )
+        if np.isreal(roots).all() and roots.real.max() > 0.0:
+            return max(roots.real.min(), 0.0), roots.real.max(), along
+    raise AssertionError("the path's end is not in the ball")
+
+
 def test_guided_parts_by_hand(courses):
     course = courses[7, 1]
     guide = course.guidance[0]
@@ -107,24 +124,23 @@ def test_guided_parts_by_hand(courses):
     for i in range(3):
         offset = aim - q[i]
         distance = math.sqrt(sum(x * x for x in offset))
-        near = [distance / 300, math.tanh(distance / 60), math.tanh(distance / 12)]
-        np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-12)
+        enter, leave, along = stretch(guide, q[i], v[i], offset / distance)
+        near = [enter / 312.5, math.tanh(enter / 62.5), math.tanh(enter / 12.5)]
+        np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-9)
         np.testing.assert_allclose(parts["guide_direction"][i], offset / distance, rtol=1e-9)
         np.testing.assert_allclose(parts["velocity"][i], v[i] / 50, rtol=1e-12)
+        np.testing.assert_allclose(parts["slowness"][i], np.tanh(v[i] / 8), rtol=1e-12)
+        rest = v[i] * np.linalg.norm(v[i]) / 40 - (guide.goal - q[i])
+        np.testing.assert_allclose(parts["rest"][i], np.tanh([*rest / 20, *rest / 4]), rtol=1e-9)
         to_goal = guide.goal - q[i]
-        scales = [*(to_goal / 300), *np.tanh(to_goal / 60), *np.tanh(to_goal / 12)]
+        scales = [*(to_goal / 312.5), *np.tanh(to_goal / 62.5), *np.tanh(to_goal / 12.5)]
         np.testing.assert_allclose(parts["goal_offset"][i], scales, rtol=1e-12)
-        along = sum(v[i] * offset) / distance
-        across = math.sqrt(max(sum(v[i] ** 2) - along**2, 0.0))
-        excess = math.tanh((along - min(math.sqrt(40 * distance), 50)) / 10)
-        np.testing.assert_allclose(
-            parts["speeds"][i], [along / 50, across / 50, excess], rtol=0, atol=1e-9
-        )
         stop = max(along, 0.0) ** 2 / 40
-        enter, leave = max(distance - guide.slack, 0.0), distance + guide.slack
-        braking = [min(stop / max(enter, 0.1), 2.0), min(stop / max(leave, 0.1), 2.0)]
         later = stop + max(along, 0.0) * course.scene.slot
+        braking = [math.tanh((along - min(math.sqrt(40 * enter), 50)) / 10)]
+        braking += [min(stop / max(enter, 0.1), 2.0), min(stop / max(leave, 0.1), 2.0)]
         braking += [math.tanh((metres - enter) / 5) for metres in (stop, later)]
+        braking += [math.tanh(metres - enter) for metres in (stop, later)]
         np.testing.assert_allclose(parts["braking"][i], braking, rtol=0, atol=1e-9)
         walls = [math.tanh((q[i, k] - LOW[k]) / 30) for k in range(3)]
         walls += [math.tanh((HIGH[k] - q[i, k]) / 30) for k in range(3)]
@@ -132,44 +148,49 @@ def test_guided_parts_by_hand(courses):
 
 
 @pytest.mark.parametrize("key", [(0, 1), (1, 2), (7, 1)])
-def test_the_action_seen_is_the_one_the_law_would_fly(courses, key):
+def test_the_path_s_frame_turns_vectors_and_actions_alike(courses, key):
+    """Against `guided` and the world's axes, turned here; the command flown is the same."""
     course, (q, v) = courses[key], states(80, seed=9)
-    episodes = Episodes([course], len(q), Rules("guided"))
-    episodes.reset(np.arange(len(q)), q, v)
-    seen = episodes.observe()["guide_action"]
-    np.testing.assert_array_equal(seen, episodes.guidance_action())
-    assert np.all(np.linalg.norm(seen, axis=1) <= 1 + 1e-12)
-    assert np.all(np.ptp(seen, axis=0) > 1.0)
-    # Again after a slot, from the new state.
-    path = np.repeat((q + 0.5)[:, None], 10, axis=1)
-    episodes.begin_slot(np.zeros((len(q), 3)))
-    episodes.end_slot(path, -v, np.zeros((len(q), 10), bool))
-    after = episodes.observe()["guide_action"]
-    np.testing.assert_array_equal(after, episodes.guidance_action())
-    assert np.mean(np.any(np.abs(after - seen) > 0.1, axis=1)) > 0.5
+    plain, turned = (Episodes([course], len(q), Rules(name)) for name in ("guided", "path"))
+    for episodes in (plain, turned):
+        episodes.reset(np.arange(len(q)), q, v)
+    axes = turned._approach.frame
+    np.testing.assert_allclose(
+        axes @ axes.transpose(0, 2, 1), np.tile(np.eye(3), (80, 1, 1)), atol=1e-12
+    )
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+    np.testing.assert_allclose(axes[:, 1, 2], 0.0, atol=0.06)  # level, where the path is not steep
+    ours, theirs = turned.observe(), plain.observe()
+    for part, size in (("velocity", 3), ("next_direction", 3), ("guide_ahead", 6), ("boxes", 12)):
+        vectors = theirs[part].reshape(80, size // 3, 3)
+        seen = np.einsum("nij,nvj->nvi", axes, vectors).reshape(80, size)
+        np.testing.assert_allclose(ours[part], seen, rtol=0, atol=1e-12)
+    for part in ("guide_direction", "guide_distance", "braking", "walls"):
+        np.testing.assert_array_equal(ours[part], theirs[part])
+    law, action = plain.guidance_action(), turned.guidance_action()
+    np.testing.assert_allclose(np.einsum("nji,nj->ni", axes, action), law, rtol=0, atol=1e-12)
+    flown = plain.begin_slot(law)
+    np.testing.assert_allclose(turned.begin_slot(action), flown, rtol=0, atol=1e-9)
 
 
 def test_braking_tells_what_share_of_full_braking_a_stop_takes(courses):
     """At 1 the stop is just at the near (far) end of what will do; beyond it is too late."""
     course = courses[0, 1]
     guide, share = course.guidance[0], np.array([0.25, 0.5, 0.8, 1.0, 1.1])
-    distance = np.full(5, 40.0)
-    for part, stop in ((0, distance - guide.slack), (1, distance + guide.slack)):
-        towards = np.array([0.8, 0.36, 0.48])
+    towards = np.array([0.8, 0.36, 0.48])
+    for part, side in ((1, -1.0), (2, 1.0)):
+        stop = 40.0 + side * 0.98 * guide.tolerance  # to the rim of the ball, through its middle
         v = np.sqrt(2 * 20.0 * stop * share)[:, None] * towards
-        q = guide.aim - distance[:, None] * towards
+        q = guide.goal - 40.0 * np.tile(towards, (5, 1))
         seen = observed(course, "guided", q, v)["braking"]
         np.testing.assert_allclose(seen[:, part], share, rtol=1e-9)
-        if part == 0:
-            np.testing.assert_array_equal(seen[:, 2] > 1e-9, share > 1.0)
+        if part == 1:
             overshoot = (share - 1) * stop
-            np.testing.assert_allclose(np.arctanh(seen[:, 2]) * 5, overshoot, atol=1e-6)
+            np.testing.assert_allclose(np.arctanh(seen[:, 3]) * 5, overshoot, atol=1e-6)
             later = overshoot + np.linalg.norm(v, axis=1) * 0.2  # a slot on
-            np.testing.assert_allclose(np.arctanh(seen[:, 3]) * 5, later, atol=1e-6)
+            np.testing.assert_allclose(np.arctanh(seen[:, 4]) * 5, later, atol=1e-6)
     resting = observed(course, "guided", q, 0 * v)["braking"]
-    assert np.all(resting[:, :2] == 0.0)
-    receding = observed(course, "guided", q, -v)["braking"]
-    np.testing.assert_array_equal(receding, resting)
+    assert np.all(resting[:, 1:3] == 0.0)
 
 
 def test_nearest_boxes_come_first_and_fade_with_distance(courses):

@@ -12,7 +12,7 @@ from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
 from mjcollect.flight import Slot, World
-from mjcollect.reward import PRESETS, paper_reward, potential, time_reward, time_to_go
+from mjcollect.reward import PRESETS, Approach, paper_reward, potential, time_reward, time_to_go
 from mjcollect.scene import Scene
 
 A, TOP, SLOT, GAMMA = 20.0, 50.0, 0.2, 0.99
@@ -24,14 +24,16 @@ def approach(distance, closing, offset=None, returning=False, slack=0.0, onward=
     distance, closing = np.atleast_1d(distance).astype(float), np.atleast_1d(closing).astype(float)
     count = len(distance)
     offset = np.zeros((count, 3)) if offset is None else np.asarray(offset, float)
-    return SimpleNamespace(
-        distance=distance,
+    made = SimpleNamespace(
         closing=closing,
         offset=offset,
         returning=np.full(count, returning),
-        slack=np.full(count, slack),
+        near=np.maximum(distance - slack, 0.0),
+        far=distance + slack,
         onward=np.full(count, onward),
     )
+    made.time_to_go = lambda world: Approach.time_to_go(made, world)  # type: ignore[arg-type]
+    return made
 
 
 def events(contact=False, outside=False, arrived=False):
@@ -253,7 +255,7 @@ def test_paper_rewards(returning, flags, bonus):
 
 @pytest.fixture
 def paper_flights(blocked_course):
-    sims = Simulations([blocked_course], 3, rules=Rules("guided", "paper"), threads=1)
+    sims = Simulations([blocked_course], 3, rules=Rules("guided", "paper", shield=False), threads=1)
     yield sims
     sims.close()
 
@@ -298,7 +300,7 @@ def test_under_time_a_crash_ends_the_episode(blocked_course):
 
 def test_a_course_may_return_and_pays_r3_by_the_depot(free_scene):
     home = Course.segment(free_scene, (0, 1), 2)
-    sims = Simulations([home], 1, rules=Rules("guided", "paper"), threads=1)
+    sims = Simulations([home], 1, rules=Rules("guided", "paper", shield=False), threads=1)
     sims.reset()
     first = sims.step(np.zeros((1, 3))).reward[0]
     sims.place(np.array([0]), np.array([[12.0, 30, 30]]), np.zeros((1, 3)))

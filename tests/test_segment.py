@@ -127,7 +127,8 @@ def test_the_share_of_slots_is_that_of_the_recorded_flight(finished, scene_file,
     for name, shield in (("with", True), ("without", False)):
         out = tmp_path / name
         run(scene_file, out, *([] if shield else ["--no-shield"]), "--no-plots")
-        own = fly(course, [TrainedPolicy.load(out / "policy.pt")], shield=shield)
+        policy = TrainedPolicy.load(out / "policy.pt")
+        own = fly(course, [policy], policy.observation, shield=shield)
         result = json.loads((out / "segment.json").read_text())
         assert result["shield_share"] == own.shield_share == np.mean(own.shielded)
         assert (result["shield_share"] > 0.0) == shield

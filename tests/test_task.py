@@ -118,8 +118,13 @@ def test_no_element_of_the_observation_is_constant(combination):
             rows.append(environment.step(action))
             if rows[-1].last():
                 break
-    environment.close()
     scene = environment.task.course.scene
+    # Random play does not stop near a goal, where `braking` tells metres apart.
+    first = environment.task.course.guidance[0]
+    for far in (20.0, 30.0):
+        environment.task.place(environment.physics, first.aim - [far, 0, 0], np.array([25.0, 0, 0]))
+        rows.append(environment.step(np.zeros(3)))
+    environment.close()
     spans = np.all(scene.obstacles == scene.bounds, axis=1).reshape(-1)
     for name in rows[0].observation:
         values = np.array([row.observation[name] for row in rows])
@@ -266,9 +271,9 @@ def test_a_name_can_be_registered_once_only(monkeypatch, free_scene):
 def test_unknown_names_list_the_valid_ones(free_scene, free_course):
     with pytest.raises(ValueError, match="'segments': must be one of segment, mission"):
         load("segments", free_scene)
-    with pytest.raises(ValueError, match="must be one of guided, paper"):
+    with pytest.raises(ValueError, match="must be one of guided, path, paper"):
         load("segment", free_scene, observation="full")
-    with pytest.raises(ValueError, match="must be one of time, careful, paper"):
+    with pytest.raises(ValueError, match="must be one of time, lost, careful, paper"):
         load("segment", free_scene, reward="sparse")
     with pytest.raises(ValueError, match="must be one of point, ball, spread"):
         make_environment(free_course, start="random")
