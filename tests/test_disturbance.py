@@ -8,7 +8,6 @@ from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.disturbance import GUST_SECONDS, MARGIN, REST_SPEED, Disturbance, Disturbances
 from mjcollect.episode import Rules
-from mjcollect.observation import SIGNS
 from mjcollect.scene import Scene
 
 SLOT, STEP, N = 0.2, 0.02, 10
@@ -223,20 +222,6 @@ def test_the_robust_observation_shows_wind_and_weak_actuators(course):
     calm.episodes.load({"truth": sims.episodes.truth, "v": sims.episodes.v})
     ours, theirs = sims.episodes.guidance_action(), calm.episodes.guidance_action()
     np.testing.assert_allclose(ours, theirs, atol=1e-6)
-
-
-def test_the_signs_of_a_disturbance_are_columns_of_the_robust_observation(course):
-    level = Disturbance(wind=2.0, gusts=1.0, gain=0.2, delay=0.1)
-    disturbances = Disturbances(level, 4, np.random.default_rng(3))
-    sims = Simulations([course], 4, rules=Rules("robust"), threads=1, disturbances=disturbances)
-    place(sims, course, 4)
-    rng = np.random.default_rng(5)
-    for _ in range(5):
-        sims.step(0.5 * rng.standard_normal((4, 3)))
-    parts = sims.episodes.observe()
-    shown = np.concatenate([parts[name] for name in ("mover", "drift", "gain", "push")], axis=1)
-    np.testing.assert_array_equal(sims.observe()[:, SIGNS], shown)
-    assert (np.abs(shown[:, 6:]) > 0.0).all()
 
 
 def test_the_adaptive_law_holds_against_the_push():
