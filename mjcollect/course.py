@@ -14,6 +14,7 @@ from mjcollect.bounds import detour_bound
 from mjcollect.compiled import plain
 from mjcollect.geometry import Array
 from mjcollect.guidance import Guidance
+from mjcollect.paths import path_length, point_along
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
 
@@ -22,9 +23,11 @@ START_KINDS: tuple[StartKind, ...] = ("point", "ball", "spread")
 
 MIN_SLOTS = 100  # step limit P: at least this, and LIMIT_FACTOR times the guidance path's time
 LIMIT_FACTOR = 3.0
-SPREAD_SHARE = 0.7  # of `spread` starts are strewn around the way, the rest lie in the ball
+STREWN, UNDER_WAY = 0.3, 0.4  # shares of the `spread` starts; the rest lie in the ball
 SPREAD_SPEED = 15.0  # m/s, the fastest `spread` start
 SPREAD_SLACK = 40.0  # metres added to the path length for the ellipsoid of `spread` starts
+LAST_PART = 1.3  # stops from v_max: how far from the goal half of the starts under way are
+SPEEDS = (0.6, 1.02)  # of what can still be stopped in time: starts under way
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +117,24 @@ class Course:
         Args:
             kind: `point`: at rest exactly at the start node. `ball`: at rest anywhere within the
                 node's tolerance, where the segment before can have stopped. `spread`, for
-                training: most in an ellipsoid around the way, moving at up to 15 m/s.
+                training: some in the ball, some in an ellipsoid around the way, moving at up to 15
+                m/s, and some under way, about as fast as can still be stopped in time, many of
+                them near the goal: each flight brakes once, and there tenths of seconds are lost.
         """
         scene, home = self.scene, self.scene.point(self.nodes[0])
         if kind == "point":
             return np.tile(home, (count, 1)), np.zeros((count, 3))
         q, v = np.empty((count, 3)), np.empty((count, 3))
-        kinds = (rng.random(count) < (SPREAD_SHARE if kind == "spread" else 0.0)).astype(np.intp)
-        space = plain(scene.bounds), plain(scene.obstacles), scene.a_max, scene.uav_radius
+        share = rng.random(count)
+        kinds = np.where(share < STREWN, 1, np.where(share < STREWN + UNDER_WAY, 2, 0))
+        kinds = (kinds if kind == "spread" else np.zeros(count)).astype(np.intp)
+        space = (
+            plain(scene.bounds),
+            plain(scene.obstacles),
+            scene.a_max,
+            scene.slot,
+            scene.uav_radius,
+        )
         wanting = np.ones(count, dtype=bool)
         for _ in range(1000):
             todo = np.flatnonzero(wanting)
@@ -130,12 +143,39 @@ class Course:
                 return q, v
             where = rng.standard_normal((n, 3)), rng.random((n, 1))
             speed = rng.standard_normal((n, 3)), rng.random((n, 1))
+            under_way = self._under_way(n, rng) if kind == "spread" else (np.empty((n, 3)),) * 2
             kernels.try_starts(
-                *space, *self._ellipsoids, kinds, *where, *speed, todo, q, v, wanting
+                *space,
+                *self._ellipsoids,
+                kinds,
+                *where,
+                *speed,
+                *under_way,
+                todo,
+                q,
+                v,
+                wanting,
             )
         # A start node wedged between boxes: the node itself is known to be free.
         q[wanting], v[wanting] = home, 0.0
         return q, v
+
+    def _under_way(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Positions and velocities (count, 3) along the way, whether or not they are clear."""
+        scene, path = self.scene, self.guidance[0].path
+        whole = path_length(path)
+        stopping = scene.v_max**2 / (2 * scene.a_max)
+        most = np.where(rng.random(count) < 0.5, min(LAST_PART * stopping, whole), whole)
+        left = most * rng.random(count)
+        q = point_along(path, whole - left)
+        ahead = point_along(path, np.minimum(whole - left + 1.0, whole)) - q
+        ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+        fastest = np.minimum(np.sqrt(2 * scene.a_max * left), scene.v_max)
+        v = ahead * (fastest * rng.uniform(*SPEEDS, count))[:, None]
+        q = q + rng.normal(0.0, self.guidance[0].tolerance / 2, (count, 3))
+        v = v + rng.normal(0.0, scene.a_max * scene.slot / 2, (count, 3))
+        speed = np.linalg.norm(v, axis=1, keepdims=True)
+        return q, v * np.minimum(1.0, scene.v_max / np.maximum(speed, 1e-9))
 
     @cached_property
     def _ellipsoids(self) -> tuple[Array, Array, Array, Array]:

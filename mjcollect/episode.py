@@ -320,6 +320,7 @@ class Episodes:
             distance=np.empty(self.count),
             direction=np.empty((self.count, 3)),
             closing=np.empty(self.count),
+            speed=np.empty(self.count),
             returning=np.empty(self.count, dtype=bool),
             ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
             near=np.empty(self.count),
@@ -337,6 +338,7 @@ class Episodes:
         for target, mine in self._by_target(which):
             guide = self._guidance[target]
             kernels.look(
+                self._noticed,
                 guide.way,
                 mine,
                 guide.goal,
@@ -357,6 +359,7 @@ class Episodes:
                 extra = float(np.linalg.norm(guide.goal - guide.beyond))
                 approach.after[mine] = (guide.beyond - guide.goal) / max(extra, 1e-9)
                 approach.onward[mine] = np.linalg.norm(self.q[mine] - guide.beyond, axis=-1) - extra
+            approach.speed[mine] = np.linalg.norm(self.v[mine], axis=1)
             approach.returning[mine] = self._node[target] < 0
             frame = np.empty((len(mine), 3, 3))
             kernels.frames(approach.heading[mine], frame)

@@ -29,7 +29,7 @@ WIDTHS = {  # parts of `guided`, in natural units: v_max, a_max, the distance of
     "guide_ahead": 3 * (len(LOOK_AHEAD) - 1),  # the first point lies straight ahead
     "guide_distance": 3,
     "goal_offset": 9,
-    "braking": 7,
+    "braking": 8,
     "boxes": 3 * NEAREST_BOXES,
     "walls": 6,
     "rest": 6,  # where full braking would end, as seen from the goal

@@ -49,6 +49,7 @@ class Approach:
     Attributes:
         offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
         direction: (N, 3) unit vectors of that path. closing: (N,) speed along `heading`.
+        speed: (N,) m/s.
         returning: (N,) whether the target is the depot.
         ahead: (N, A, 3) from the body to points farther along the path.
         near, far: (N,) metres along the path to where it enters the goal's ball and leaves it.
@@ -64,6 +65,7 @@ class Approach:
     distance: Array
     direction: Array
     closing: Array
+    speed: Array
     returning: Bools
     ahead: Array
     near: Array
@@ -76,7 +78,8 @@ class Approach:
     def time_to_go(self, world: World) -> Array:
         """Least time (N,) in s to come to rest in the goal's ball, on a line along the path."""
         middle, half = (self.near + self.far) / 2, (self.far - self.near) / 2
-        return time_to_go(world, middle, self.closing, half)
+        along = time_to_go(world, middle, self.closing, half)
+        return np.maximum(along, np.minimum(self.speed / world.a_max[..., 0], TIME_CAP))
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:

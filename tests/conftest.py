@@ -82,7 +82,7 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session", params=["guided"])
+@pytest.fixture(scope="session", params=["path"])
 def pupil_file(
     request: pytest.FixtureRequest, scene_file: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Path:

@@ -191,7 +191,7 @@ def test_segments_are_of_all_kinds():
         (["--disturbed", "1.5"], "--disturbed: 1.5"),
         (["--held-out", "0"], "--held-out: 0"),
         (["--observation", "paper"], "--observation: paper"),
-        (["--observation", "guided"], "--observation: guided"),
+        (["--disturbed", "0.5", "--observation", "guided"], "--observation: guided"),
         (["--wind", "-2"], "wind: -2.0"),
         (["--shards", "-1"], "--shards: -1"),
         (["--ray", "local"], "--ray: needs --shards"),

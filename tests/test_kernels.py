@@ -28,7 +28,6 @@ def random_way(rng, least, counts=((5, 7, 4), (9, 3, 6))) -> Way:
         onward=np.ones((1, 3)),
         cut=np.ones(1),
         sight=np.array([[[[900.0] * 3, [950.0] * 3]]]),  # in sight of none
-        line=np.empty((0, 7)),
         stop=np.zeros(4),
         low=np.array([[0.0, 0, 0], [10.0, 20, 5]]),
         spacing=np.array([[10.0, 8, 12], [2.0, 5, 3]]),

@@ -23,7 +23,7 @@ def course():
 
 def flights(course, level, count, observation="robust"):
     disturbances = Disturbances(level, count, np.random.default_rng(0))
-    rules = Rules(observation)
+    rules = Rules(observation, shield=False)  # which would keep from the boxes that are seen
     sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
     sims.place(np.arange(count), np.tile(START, (count, 1)), np.zeros((count, 3)))
     return sims

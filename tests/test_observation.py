@@ -7,6 +7,7 @@ import pytest
 
 from mjcollect.course import Course
 from mjcollect.episode import Episodes, Rules
+from mjcollect.flight import World
 from mjcollect.observation import NEAREST_BOXES, OBSERVATIONS
 from mjcollect.scene import Scene
 
@@ -51,7 +52,7 @@ def test_guided_has_one_width_for_any_number_of_boxes_and_items(courses):
         widths.append({name: part.shape[1] for name, part in parts.items()})
     assert widths[0] == widths[1] == widths[2]
     known = {"velocity": 3, "guide_direction": 3, "guide_distance": 3, "goal_offset": 9}
-    known |= {"braking": 7, "boxes": 3 * NEAREST_BOXES, "walls": 6}
+    known |= {"braking": 8, "boxes": 3 * NEAREST_BOXES, "walls": 6}
     assert known.items() <= widths[0].items()
 
 
@@ -97,21 +98,12 @@ def test_paper_parts_by_hand(courses):
         assert parts["p"][i].tolist() == [float(flag) for flag in flags[i]]
 
 
-def stretch(guide, q, v, direction):
-    """Metres to where a ray enters and leaves the goal's ball, and the speed along it.
-
-    Along the velocity where that leads into the ball, else along the path; by the quadratic.
-    """
-    speed, radius = float(np.linalg.norm(v)), 0.98 * guide.tolerance
-    for unit, along in ((v / max(speed, 1e-9), speed), (direction, float(v @ direction))):
-        if unit is not direction and speed <= 1.0:
-            continue
-        roots = np.roots(
-            [1.0, 2 * unit @ (q - guide.goal), (q - guide.goal) @ (q - guide.goal) - radius**2]
-        )
-        if np.isreal(roots).all() and roots.real.max() > 0.0:
-            return max(roots.real.min(), 0.0), roots.real.max(), along
-    raise AssertionError("the path's end is not in the ball")
+def stretch(guide, q, unit):
+    """Metres to where a ray enters and leaves the goal's ball, by the quadratic."""
+    offset, radius = q - guide.goal, 0.98 * guide.tolerance
+    roots = np.roots([1.0, 2 * unit @ offset, offset @ offset - radius**2])
+    assert np.isreal(roots).all()
+    return max(roots.real.min(), 0.0), roots.real.max()
 
 
 def test_guided_parts_by_hand(courses):
@@ -119,15 +111,14 @@ def test_guided_parts_by_hand(courses):
     guide = course.guidance[0]
     aim = guide.aim  # the first target is the item, in free sight of all these
     q = np.array([[10.0, 20, 50], [200, 15, 45], [377, 21, 50]])
-    v = np.array([[10.0, 2, -3], [0, 0, 0], [-5, 0, 0]])
+    to_aim = (aim - q) / np.linalg.norm(aim - q, axis=1, keepdims=True)
+    v = to_aim * [[12.0], [0.0], [5.0]]  # along the path: seen along it
     parts = observed(course, "guided", q, v)
     for i in range(3):
-        offset = aim - q[i]
-        distance = math.sqrt(sum(x * x for x in offset))
-        enter, leave, along = stretch(guide, q[i], v[i], offset / distance)
+        enter, leave = stretch(guide, q[i], to_aim[i])
         near = [enter / 312.5, math.tanh(enter / 62.5), math.tanh(enter / 12.5)]
-        np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-9)
-        np.testing.assert_allclose(parts["guide_direction"][i], offset / distance, rtol=1e-9)
+        np.testing.assert_allclose(parts["guide_distance"][i], near, rtol=1e-6)
+        np.testing.assert_allclose(parts["guide_direction"][i], to_aim[i], rtol=1e-9)
         np.testing.assert_allclose(parts["velocity"][i], v[i] / 50, rtol=1e-12)
         np.testing.assert_allclose(parts["slowness"][i], np.tanh(v[i] / 8), rtol=1e-12)
         rest = v[i] * np.linalg.norm(v[i]) / 40 - (guide.goal - q[i])
@@ -135,16 +126,65 @@ def test_guided_parts_by_hand(courses):
         to_goal = guide.goal - q[i]
         scales = [*(to_goal / 312.5), *np.tanh(to_goal / 62.5), *np.tanh(to_goal / 12.5)]
         np.testing.assert_allclose(parts["goal_offset"][i], scales, rtol=1e-12)
-        stop = max(along, 0.0) ** 2 / 40
-        later = stop + max(along, 0.0) * course.scene.slot
-        braking = [math.tanh((along - min(math.sqrt(40 * enter), 50)) / 10)]
+        speed = float(np.linalg.norm(v[i]))
+        stop, stride = speed**2 / 40, max(speed, 4.0) * course.scene.slot
+        braking = [math.tanh((speed - min(math.sqrt(40 * enter), 50)) / 10)]
         braking += [min(stop / max(enter, 0.1), 2.0), min(stop / max(leave, 0.1), 2.0)]
-        braking += [math.tanh((metres - enter) / 5) for metres in (stop, later)]
-        braking += [math.tanh(metres - enter) for metres in (stop, later)]
-        np.testing.assert_allclose(parts["braking"][i], braking, rtol=0, atol=1e-9)
+        braking += [math.tanh((enter - stop) / slots / stride) for slots in (4, 1)]
+        braking += [math.tanh((leave - stop) / stride)]
+        turn = 2 * math.pi * speed / 4.0  # full braking takes 4 m/s a slot
+        braking += [math.sin(turn), math.cos(turn)]
+        np.testing.assert_allclose(parts["braking"][i], braking, rtol=0, atol=1e-6)
         walls = [math.tanh((q[i, k] - LOW[k]) / 30) for k in range(3)]
         walls += [math.tanh((HIGH[k] - q[i, k]) / 30) for k in range(3)]
         np.testing.assert_allclose(parts["walls"][i], walls, rtol=0, atol=1e-12)
+
+
+def approached(course, q, v):
+    episodes = Episodes([course], len(q), Rules())
+    episodes.reset(np.arange(len(q)), q, v)
+    return episodes._approach
+
+
+def near_goal(course, count, seed=0):
+    """Places within 40 m of the goal, most of them inside its free sight, and velocities."""
+    rng = np.random.default_rng(seed)
+    q = course.guidance[0].goal + rng.normal(0.0, 10.0, (count, 3))
+    return np.clip(q, np.array(LOW) + 1, np.array(HIGH) - 1), rng.normal(0.0, 8.0, (count, 3))
+
+
+def test_a_flight_is_seen_along_its_velocity_where_that_ends_in_the_goal(courses):
+    """And along the path far away, where it still turns, and at rest, whatever its velocity was."""
+    course = courses[0, 1]
+    goal, towards = course.guidance[0].goal, np.array([-1.0, 0.0, 0.0])
+    away = np.array([[10.0], [10.0], [300.0]])
+    q = goal + away * towards
+    aside = np.array([0.0, 0.3, 0.0])  # passes the goal's middle by 3 m
+    v = np.array([[14.0], [0.0], [14.0]]) * (-towards + aside) / np.linalg.norm(-towards + aside)
+    seen = approached(course, q, v)
+    angle = np.arccos(np.clip(seen.heading @ (v[0] / 14.0), -1.0, 1.0))
+    assert angle[0] < 0.1 + 1e-9
+    assert seen.closing[0] > 13.9
+    for i in (1, 2):
+        off = np.linalg.norm(np.cross(seen.heading[i], (goal - q[i]) / away[i]))
+        assert off < (0.02 if i == 2 else 1e-6)
+
+
+def test_the_way_into_the_goal_leads_into_it_and_has_no_jumps(courses):
+    course = courses[0, 1]
+    guide, (q, v) = course.guidance[0], near_goal(course, 2000)
+    seen = approached(course, q, v)
+    np.testing.assert_allclose(np.linalg.norm(seen.heading, axis=1), 1.0, atol=1e-9)
+    middle = q + seen.heading * ((seen.near + seen.far) / 2)[:, None]
+    assert np.all(np.linalg.norm(middle - guide.goal, axis=1) <= guide.tolerance + 1e-9)
+    hair, rng = 1e-7, np.random.default_rng(1)
+    other = approached(
+        course, q + hair * rng.normal(size=q.shape), v + hair * rng.normal(size=v.shape)
+    )
+    went = np.abs(
+        other.time_to_go(World.stack([course.scene])) - seen.time_to_go(World.stack([course.scene]))
+    )
+    assert np.mean(went > 1e-3) < 0.002  # at the goal itself every direction leads there
 
 
 @pytest.mark.parametrize("key", [(0, 1), (1, 2), (7, 1)])
@@ -177,18 +217,16 @@ def test_braking_tells_what_share_of_full_braking_a_stop_takes(courses):
     """At 1 the stop is just at the near (far) end of what will do; beyond it is too late."""
     course = courses[0, 1]
     guide, share = course.guidance[0], np.array([0.25, 0.5, 0.8, 1.0, 1.1])
-    towards = np.array([0.8, 0.36, 0.48])
-    for part, side in ((1, -1.0), (2, 1.0)):
-        stop = 40.0 + side * 0.98 * guide.tolerance  # to the rim of the ball, through its middle
-        v = np.sqrt(2 * 20.0 * stop * share)[:, None] * towards
-        q = guide.goal - 40.0 * np.tile(towards, (5, 1))
+    q = guide.goal - 40.0 * np.tile([0.8, 0.36, 0.48], (5, 1))
+    along = (guide.aim - q[0]) / np.linalg.norm(guide.aim - q[0])
+    for part, stop in zip((1, 2), stretch(guide, q[0], along), strict=True):
+        v = np.sqrt(2 * 20.0 * stop * share)[:, None] * along
         seen = observed(course, "guided", q, v)["braking"]
-        np.testing.assert_allclose(seen[:, part], share, rtol=1e-9)
+        np.testing.assert_allclose(seen[:, part], share, rtol=1e-6)
         if part == 1:
-            overshoot = (share - 1) * stop
-            np.testing.assert_allclose(np.arctanh(seen[:, 3]) * 5, overshoot, atol=1e-6)
-            later = overshoot + np.linalg.norm(v, axis=1) * 0.2  # a slot on
-            np.testing.assert_allclose(np.arctanh(seen[:, 4]) * 5, later, atol=1e-6)
+            spare = (1 - share) * stop / np.linalg.norm(v, axis=1) / 0.2  # slots of that speed
+            np.testing.assert_allclose(np.arctanh(seen[:, 4]), spare, atol=1e-6)
+            np.testing.assert_allclose(np.arctanh(seen[:, 3]) * 4, spare, atol=1e-6)
     resting = observed(course, "guided", q, 0 * v)["braking"]
     assert np.all(resting[:, 1:3] == 0.0)
 

@@ -12,7 +12,15 @@ from mjcollect.batch import Simulations
 from mjcollect.course import Course
 from mjcollect.episode import Rules
 from mjcollect.flight import Slot, World
-from mjcollect.reward import PRESETS, Approach, paper_reward, potential, time_reward, time_to_go
+from mjcollect.reward import (
+    PRESETS,
+    Approach,
+    lost_reward,
+    paper_reward,
+    potential,
+    time_reward,
+    time_to_go,
+)
 from mjcollect.scene import Scene
 
 A, TOP, SLOT, GAMMA = 20.0, 50.0, 0.2, 0.99
@@ -26,6 +34,7 @@ def approach(distance, closing, offset=None, returning=False, slack=0.0, onward=
     offset = np.zeros((count, 3)) if offset is None else np.asarray(offset, float)
     made = SimpleNamespace(
         closing=closing,
+        speed=np.abs(closing),
         offset=offset,
         returning=np.full(count, returning),
         near=np.maximum(distance - slack, 0.0),
@@ -166,6 +175,11 @@ def test_a_stop_is_paid_for_what_it_costs_on_the_next_leg():
         for m in (-5.0, 5.0)
     )
     assert near - far == pytest.approx(GAMMA * 10.0 / TOP)
+    near, far = (
+        lost_reward(WORLD, before, approach(3.0, 0.0, onward=m), events(arrived=True), GAMMA)[0]
+        for m in (-5.0, 5.0)
+    )
+    assert near - far == pytest.approx(10.0 / TOP)
 
 
 # The `time` preset
@@ -211,21 +225,42 @@ def best_flight(speeding, cruising):
 
 
 @pytest.mark.parametrize(("speeding", "cruising"), [(2, 0), (7, 0), (12.5, 40)])
-def test_a_perfect_straight_flight_earns_nothing_and_any_waste_costs(speeding, cruising):
+@pytest.mark.parametrize("preset", [time_reward, lost_reward])
+def test_a_perfect_straight_flight_earns_nothing_and_any_waste_costs(preset, speeding, cruising):
     left, v = best_flight(speeding, cruising)
     ways = [approach(d, s) for d, s in zip(left, v, strict=True)]
     rewards = [
-        time_reward(WORLD, a, b, events(arrived=b is ways[-1]), GAMMA)[0] for a, b in pairwise(ways)
+        preset(WORLD, a, b, events(arrived=b is ways[-1]), GAMMA)[0] for a, b in pairwise(ways)
     ]
     np.testing.assert_allclose(rewards, 0.0, atol=1e-6)
-    hover = time_reward(WORLD, ways[0], ways[0], events(), GAMMA)[0]
-    assert hover == pytest.approx(-SLOT * GAMMA ** (2 * speeding + cruising), abs=1e-9)
+    hover = preset(WORLD, ways[0], ways[0], events(), GAMMA)[0]
+    price = GAMMA ** (2 * speeding + cruising) if preset is time_reward else 1.0
+    assert hover == pytest.approx(-SLOT * price, abs=1e-9)
+
+
+def test_lost_adds_up_to_the_flight_s_time_over_the_least():
+    left, v = best_flight(12.5, 40)
+    ways = [approach(d, s) for d, s in zip(left, v, strict=True)]
+    flown = [ways[0], *ways[:5], ways[4], *ways[5:]]  # waits a slot at first, and hangs one later
+    lost = sum(
+        lost_reward(WORLD, a, b, events(arrived=b is ways[-1]), GAMMA)[0]
+        for a, b in pairwise(flown)
+    )
+    assert lost == pytest.approx(-2 * SLOT, abs=1e-9)
+
+
+def test_no_stop_takes_less_than_braking_whatever_the_direction():
+    """Beside the goal, across the way: nothing closing, and still to be brought to rest."""
+    across = approach(0.0, 0.0, slack=3.0)
+    across.speed = np.array([10.0])
+    assert across.time_to_go(WORLD)[0] == pytest.approx(10.0 / A)
 
 
 @pytest.mark.parametrize("crash", [{"contact": True}, {"outside": True}])
 def test_a_crash_costs_two_whatever_the_way(crash):
     for d, v in [(0.0, 0.0), (300.0, -50.0), (1500.0, 50.0)]:
-        assert time_reward(WORLD, approach(d, v), approach(d, v), events(**crash), GAMMA) == -2.0
+        for preset in (time_reward, lost_reward):
+            assert preset(WORLD, approach(d, v), approach(d, v), events(**crash), GAMMA) == -2.0
     assert PRESETS["time"].crash_ends
     assert not PRESETS["paper"].crash_ends
 

@@ -12,6 +12,7 @@ from torchrl.envs import DMControlWrapper
 import mjcollect
 from mjcollect import task as task_module
 from mjcollect.course import Course
+from mjcollect.geometry import segment_box_distance
 from mjcollect.scene import Scene
 from mjcollect.task import load, make_environment, register, task_names
 
@@ -106,9 +107,9 @@ def test_same_seed_and_actions_same_episodes_other_seed_others(combination):
 def test_no_element_of_the_observation_is_constant(combination):
     """Over random play from all over the scene. It has four boxes, none padded.
 
-    Constant by nature: `p` of a segment, in which nothing more is collected before the end (random
-    play does not get that far either: the mission flown below checks it), and the axes of `l` on
-    which a box spans the whole of the bounds, so that its nearest point is always level.
+    Constant by nature: `p` and `next_direction` until a target is reached (random play does not get
+    that far: the mission flown below checks it), and the axes of `l` on which a box spans the whole
+    of the bounds, so that its nearest point is always level.
     """
     environment = again(combination)
     rows = []
@@ -129,7 +130,7 @@ def test_no_element_of_the_observation_is_constant(combination):
     for name in rows[0].observation:
         values = np.array([row.observation[name] for row in rows])
         constant = np.ptp(values, axis=0) == 0.0
-        if name == "p":
+        if name in ("p", "next_direction"):
             assert constant.all()
         elif name == "l":
             np.testing.assert_array_equal(constant, spans)
@@ -301,7 +302,7 @@ def test_starts_are_in_bounds_clear_of_boxes_and_of_their_kind(blocked_course, k
         over = np.maximum(np.maximum(box[0] - q, q - box[1]), 0.0)
         assert np.all(np.linalg.norm(over, axis=1) >= scene.uav_radius)
     speed, away = np.linalg.norm(v, axis=1), np.linalg.norm(q - scene.depot, axis=1)
-    assert speed.max() <= (15.0 if kind == "spread" else 0.0)
+    assert speed.max() <= (scene.v_max if kind == "spread" else 0.0)
     if kind == "point":
         assert away.max() == 0.0
     if kind == "ball":
@@ -310,6 +311,14 @@ def test_starts_are_in_bounds_clear_of_boxes_and_of_their_kind(blocked_course, k
     if kind == "spread":
         assert 0.2 < np.mean(away <= 5.0) < 0.4
         assert q[:, 0].max() > 300.0
+        # Some are about as fast as can still be stopped in the goal's ball.
+        goal = blocked_course.guidance[0].goal
+        left = np.linalg.norm(goal - q, axis=1)
+        share = speed**2 / (2 * scene.a_max) / left
+        assert np.mean((share > 0.7) & (share < 1.2)) > 0.05
+    stop = q + v * speed[:, None] / (2 * scene.a_max)
+    for box in scene.obstacles:
+        assert segment_box_distance(q, stop, box).min() >= scene.uav_radius
 
 
 # Others' tools

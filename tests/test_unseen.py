@@ -28,8 +28,6 @@ from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
 from train.pool import draw_leg
 from train.runs import RunFolder
 
-pytestmark = pytest.mark.parametrize("pupil_file", ["robust"], indirect=True, scope="session")
-
 
 @pytest.fixture
 def weights(pupil_file):
@@ -39,7 +37,7 @@ def weights(pupil_file):
         actor = make_actor(TrainedPolicy.load(pupil_file).inputs, 8)
         bias = [p for n, p in actor.named_parameters() if n.endswith("bias")][-1]
         bias.data = torch.tensor([0.0, 0.0, 20.0])
-        TrainedPolicy(actor, "robust").save(wild)
+        TrainedPolicy(actor, "path").save(wild)
     return pupil_file.parent
 
 
@@ -59,7 +57,7 @@ def test_flies_a_scene_without_training(scene_file, weights, tmp_path):
     assert (result["planner"], result["train_seconds"]) == ("policy", None)
     assert verified(scene_file, tmp_path / "out")
     pupil = TrainedPolicy.load(weights / "pupil.safetensors")
-    own = fly_policies(Course.mission(Scene.load(scene_file), (0, 1)), [pupil] * 3, "robust")
+    own = fly_policies(Course.mission(Scene.load(scene_file), (0, 1)), [pupil] * 3, "path")
     assert result["mission_time"] == own.trajectory.duration
     assert not (tmp_path / "out" / "segments").exists()
 
@@ -175,7 +173,7 @@ def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_
     assert own["updates"] == 4
     config = json.loads((out / "segments/0/config.json").read_text())
     assert config["weights"] is not None
-    assert (config["learn"]["observation"], config["learn"]["width"]) == ("robust", 8)
+    assert (config["learn"]["observation"], config["learn"]["width"]) == ("path", 8)
     assert all(entry["updates"] is None for entry in result["segments"])
 
 
@@ -228,7 +226,7 @@ def test_guidance_that_cannot_be_kept_is_refused(tmp_path, capsys):
 
 
 def test_a_policy_of_another_size_writes_nothing(scene_file, tmp_path, capsys):
-    TrainedPolicy(make_actor(45, 8), "robust").save(tmp_path / "old.pt")
+    TrainedPolicy(make_actor(45, 8), "path").save(tmp_path / "old.pt")
     arguments = ["--scene", str(scene_file), "--policy", str(tmp_path / "old.pt")]
     assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
     assert "--policy: a policy of 45 inputs" in capsys.readouterr().err

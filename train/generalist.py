@@ -242,6 +242,11 @@ def _check(args: Args) -> None:
         need_ray()
         if args.shards < 1:
             raise RunError("--ray: needs --shards N, the number of actors that simulate")
+    if args.learn.observation == "paper":
+        raise RunError(
+            "--observation: paper: has as many numbers as a scene has boxes and items, and these "
+            "scenes differ; use path, guided or robust"
+        )
     if args.disturbed > 0.0 and args.learn.observation not in ADAPTIVE:
         raise RunError(
             f"--observation: {args.learn.observation}: does not show disturbances; use "

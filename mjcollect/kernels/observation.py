@@ -18,23 +18,16 @@ if TYPE_CHECKING:
     from mjcollect.flight import World
     from mjcollect.guidance import Way
 
+TURN = 0.1  # radians by which a heading is still turned at hardly any loss of time
 STEEP = 0.05  # share of a path that is level, below which its frame keeps to the x axis
 
 
 @compiled
-def stretch_row(
-    way: Way, goal: Array, radius: float, left: float, chosen: int, q: Array, direction: Array
-) -> tuple[float, float]:
-    """Metres along the path to where it enters the goal's ball, and to where it would leave it.
-
-    Exact where the end of the path is in sight; else by its last piece.
-    """
+def stretch_row(way: Way, goal: Array, radius: float, left: float) -> tuple[float, float]:
+    """Metres along the path to where its last piece enters the goal's ball, and leaves it."""
     last, towards = len(way.points) - 1, np.empty(3)
-    if chosen == last or last == 0:
-        middle, half = chord(goal, radius, q, direction)
-        if half < 0.0:  # beside it, as when the way bends
-            return left, left
-        return max(middle - half, 0.0), max(middle + half, 0.0)
+    if last == 0:
+        return max(left - radius, 0.0), left + radius
     for k in range(3):
         towards[k] = way.points[last, k] - way.points[last - 1, k]
     whole = unit(towards, towards)
@@ -44,30 +37,65 @@ def stretch_row(
 
 
 @compiled
+def aim_row(
+    goal: Array, radius: float, change: float, braking: float, q: Array, v: Array, heading: Array
+) -> tuple[float, float]:
+    """Bend `heading` towards where the velocity leads into the goal's ball, or passes it.
+
+    Far away that is the heading; close by, where no turn is worth its while, the velocity's own
+    direction. Continuous in q and v, so that the time to go is. Metres to where the heading enters
+    the ball and to where it leaves it.
+
+    Args:
+        goal: (3,), in sight. radius: of its ball, in m. change: m/s in a slot. heading: (3,) unit
+            vector of the path.
+    """
+    offset, mine, aside = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        offset[k] = goal[k] - q[k]
+    speed = unit(v, mine)
+    ahead, along = max(dot(offset, mine), braking), max(dot(offset, heading), 0.0)
+    for k in range(3):  # from where the path passes the goal to where the velocity does, or ends
+        aside[k] = mine[k] * ahead - heading[k] * along
+    apart = norm(aside)
+    share = max(apart - TURN * ahead, 0.0) / max(apart, 1e-9) * min(speed / change, 1.0)
+    square = 0.0
+    for k in range(3):
+        aside[k] = aside[k] * share + heading[k] * along - offset[k]  # from the goal
+        square += aside[k] ** 2
+    inside = min(radius / max(math.sqrt(square), 1e-9), 1.0)
+    for k in range(3):
+        aside[k] = offset[k] + aside[k] * inside
+    if norm(aside) > 1e-6:
+        unit(aside, heading)
+    middle, half = chord(goal, radius, q, heading)
+    half = max(half, 0.0)
+    return max(middle - half, 0.0), max(middle + half, 0.0)
+
+
+@compiled
 def look(
-    way: Way, which: Indices, goal: Array, radius: float, strides: Array, q: Array, v: Array,
-    offset: Array, distance: Array, direction: Array, closing: Array, near: Array, far: Array,
-    ahead: Array, heading: Array,
+    world: World, way: Way, which: Indices, goal: Array, radius: float,
+    strides: Array, q: Array, v: Array, offset: Array, distance: Array, direction: Array,
+    closing: Array, near: Array, far: Array, ahead: Array, heading: Array,
 ) -> None:  # fmt: skip
     """How the simulations `which` stand towards a goal (3,) with a ball, see `reward.Approach`.
 
-    Where the body flies straight into the ball in sight, it is seen along its velocity: what is
-    left is to stop in time. Else along the path.
     The points `ahead`, `strides` metres from one to the next, show bends before they are reached.
     """
     point, towards = np.empty(3), np.empty(3)
     for i in which:
+        w = scene_of(world, i)
         left, chosen = query_row(way, q[i], direction[i])
         distance[i] = left
-        closing[i] = dot(v[i], direction[i])
-        near[i], far[i] = stretch_row(way, goal, radius, left, chosen, q[i], direction[i])
         heading[i] = direction[i]
-        speed = unit(v[i], towards)
-        if chosen == len(way.points) - 1 and speed > 1.0:
-            middle, half = chord(goal, radius, q[i], towards)
-            if half >= 0.0 and middle + half > 0.0:
-                near[i], far[i] = max(middle - half, 0.0), middle + half
-                heading[i], closing[i] = towards, speed
+        if chosen == len(way.points) - 1:
+            change, speed = world.a_max[w, 0] * world.slot, norm(v[i])
+            braking = speed**2 / (2 * world.a_max[w, 0])
+            near[i], far[i] = aim_row(goal, radius, change, braking, q[i], v[i], heading[i])
+        else:
+            near[i], far[i] = stretch_row(way, goal, radius, left)
+        closing[i] = dot(v[i], heading[i])
         for k in range(3):
             offset[i, k] = goal[k] - q[i, k]
             point[k], towards[k] = q[i, k], direction[i, k]
@@ -176,20 +204,22 @@ def guided(
         squash(row[at + 3 : at + 9])
         at += 9
         # How much faster than one can still stop; share of a_max that a stop takes at the near
-        # and the far end of what will do; and by how many metres full braking overshoots the near
-        # end, begun now or a slot later.
+        # and the far end of what will do; slots until it must begin, for either; and slots to
+        # rest: only whole ones are flown.
         speed = max(closing[i], 0.0)
         braking = speed**2 / (2 * a_max)
         first, last = near[i], far[i]
         fastest = min(math.sqrt(2 * a_max * first), v_max)
+        stride, turn = max(speed, change) * world.slot, 2 * math.pi * speed / change
         row[at] = math.tanh((closing[i] - fastest) / (2.5 * change))
         row[at + 1] = min(braking / max(first, 0.1), 2.0)
         row[at + 2] = min(braking / max(last, 0.1), 2.0)
-        row[at + 3] = math.tanh((braking - first) / 5)
-        row[at + 4] = math.tanh((braking + speed * world.slot - first) / 5)
-        row[at + 5] = math.tanh(braking - first)
-        row[at + 6] = math.tanh(braking + speed * world.slot - first)
-        at += 7
+        row[at + 3] = math.tanh((first - braking) / (4 * stride))
+        row[at + 4] = math.tanh((first - braking) / stride)
+        row[at + 5] = math.tanh((last - braking) / stride)
+        row[at + 6] = math.sin(turn)
+        row[at + 7] = math.cos(turn)
+        at += 8
         nearest_boxes(world.boxes[w], q[i], reach, beyond, gaps, offset, boxes)
         for b in range(nearest):
             seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[at : at + 3])
