@@ -13,7 +13,7 @@ from mjcollect import guidance_file, kernels
 from mjcollect.bounds import detour_bound
 from mjcollect.compiled import plain
 from mjcollect.geometry import Array
-from mjcollect.guidance import Guidance
+from mjcollect.guidance import Guidance, place
 from mjcollect.paths import path_length, point_along
 from mjcollect.scene import Scene
 from mjcollect.tour import legs
@@ -73,7 +73,7 @@ class Course:
 
     def _guidance(self, frm: int, to: int, after: int | None) -> Guidance:
         beyond = None if after is None else self.scene.point(after)
-        leg = self.scene, to, self.scene.point(frm), beyond
+        leg = self.scene, to, place(self.scene, frm), beyond
         saved = None if self.folder is None else guidance_file.load(self.folder, *leg)
         if saved is not None:
             return saved
@@ -115,13 +115,13 @@ class Course:
         """Start positions and velocities, each (count, 3), in bounds and clear of boxes.
 
         Args:
-            kind: `point`: at rest exactly at the start node. `ball`: at rest anywhere within the
+            kind: `point`: at rest exactly at the start node, or as near as a body can be. `ball`: at rest anywhere within the
                 node's tolerance, where the segment before can have stopped. `spread`, for
                 training: some in the ball, some in an ellipsoid around the way, moving at up to 15
                 m/s, and some under way, about as fast as can still be stopped in time, many of
                 them near the goal: each flight brakes once, and there tenths of seconds are lost.
         """
-        scene, home = self.scene, self.scene.point(self.nodes[0])
+        scene, home = self.scene, place(self.scene, self.nodes[0])
         if kind == "point":
             return np.tile(home, (count, 1)), np.zeros((count, 3))
         q, v = np.empty((count, 3)), np.empty((count, 3))
@@ -180,14 +180,14 @@ class Course:
     @cached_property
     def _ellipsoids(self) -> tuple[Array, Array, Array, Array]:
         """Where `ball` and `spread` starts lie, see `kernels.try_starts`; metres and m/s."""
-        start, end = self.scene.point(self.nodes[0]), self.guidance[0].aim
+        start, end = place(self.scene, self.nodes[0]), self.guidance[0].aim
         reach, axis = self.scene.tolerance(self.nodes[0]), end - start
         focal = float(np.linalg.norm(axis))
         total = max(self.guidance[0].length, focal) + SPREAD_SLACK
         minor = float(np.sqrt(total**2 - focal**2)) / 2
         along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
         return (
-            np.stack([start, (start + end) / 2]),
+            np.stack([self.scene.point(self.nodes[0]), (start + end) / 2]),
             along,
             np.array([[reach, reach], [total / 2, minor]]),
             np.array([0.0, min(SPREAD_SPEED, self.scene.v_max)]),

@@ -67,6 +67,7 @@ class DistanceField:
         ball = 2.0 * float(np.max(self.h))
         near = np.argwhere(straight <= ball)
         seen = segment_clear(self.points(near), aim, scene.obstacles, scene.uav_radius)
+        seen &= ~self._leaks(near, straight, ball, blocked)
         blocked[tuple(near.T)] = ~seen
         self._connected = bool(seen.any())
         if not self._connected:
@@ -86,6 +87,19 @@ class DistanceField:
             distance[inside] = straight[inside]
             self._distance = distance.astype(np.float32)
         self._free, self._outside = np.isfinite(self._distance), outside
+
+    def _leaks(self, near: Array, straight: Array, ball: float, blocked: np.ndarray) -> np.ndarray:
+        """Which nodes (n, 3) of the ball have a step out of it, not blocked, through a box. (n,).
+
+        Only there: elsewhere no cell is free that a box is in.
+        """
+        scene, found = self._scene, np.zeros(len(near), dtype=bool)
+        for step in np.concatenate([np.eye(3, dtype=int), -np.eye(3, dtype=int)]):
+            to = np.clip(near + step, 0, np.array(self._shape) - 1)
+            where = np.flatnonzero((straight[tuple(to.T)] > ball) & ~blocked[tuple(to.T)])
+            ends = self.points(near[where]), self.points(to[where])
+            found[where] |= ~segment_clear(*ends, scene.obstacles, scene.uav_radius)
+        return found
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
         """How near boxes or bounds are: 1 at them, 0 from ROOM metres on."""

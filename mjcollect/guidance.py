@@ -139,15 +139,15 @@ class Guidance:
             slack = min(FINE_SLACK, FINE_SLACK_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
             within = (start, path_length(self._tight(ways[0])) + slack)
         fine = DistanceField(scene, self.aim, FINE, within)
-        shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
         if fine.entry(start) is not None:
+            shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
             fields.append(fine)
             ways += [self._way_down(field, start) for field in (fine, shortest)]
         if not ways:
             raise GuidanceError(
                 f"no passage from {start.tolist()} to {_name(self.node)} was found on a grid of "
-                f"{np.max(fine.h):.3g} m: widen the gaps between the obstacles to two cells, or "
-                "move the item"
+                f"{np.max(fine.h):.3g} m: one of them is walled in, or behind gaps narrower than two "
+                "cells; widen the gaps between the obstacles, or move it"
             )
         return min((self._tight(way) for way in ways), key=path_length), ways
 
@@ -205,6 +205,14 @@ def choose_aim(
             if room_at(scene, aim[None])[0] >= AIM_ROOM:
                 return np.asarray(aim)
     return feasible_aim(scene, goal, tolerance)
+
+
+def place(scene: Scene, node: int) -> Array:
+    """Where a body (3,) can be for a node: there, or in its ball where a box is too close to it."""
+    point = scene.point(node)
+    if room_to_boxes(scene, point[None])[0] >= 0.0:
+        return point
+    return feasible_aim(scene, point, scene.tolerance(node))
 
 
 def room_at(scene: Scene, points: Array) -> Array:
