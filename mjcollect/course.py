@@ -115,11 +115,12 @@ class Course:
         """Start positions and velocities, each (count, 3), in bounds and clear of boxes.
 
         Args:
-            kind: `point`: at rest exactly at the start node, or as near as a body can be. `ball`: at rest anywhere within the
-                node's tolerance, where the segment before can have stopped. `spread`, for
-                training: some in the ball, some in an ellipsoid around the way, moving at up to 15
-                m/s, and some under way, about as fast as can still be stopped in time, many of
-                them near the goal: each flight brakes once, and there tenths of seconds are lost.
+            kind: `point`: at rest exactly at the start node, or as near as a body can be. `ball`:
+                at rest anywhere within the node's tolerance, where the segment before can have
+                stopped. `spread`, for training: some in the ball, some in an ellipsoid around the
+                way, moving at up to 15 m/s, and some under way, about as fast as can still be
+                stopped in time, many of them near the goal: each flight brakes once, and there
+                tenths of seconds are lost.
         """
         scene, home = self.scene, place(self.scene, self.nodes[0])
         if kind == "point":

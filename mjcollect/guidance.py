@@ -146,8 +146,8 @@ class Guidance:
         if not ways:
             raise GuidanceError(
                 f"no passage from {start.tolist()} to {_name(self.node)} was found on a grid of "
-                f"{np.max(fine.h):.3g} m: one of them is walled in, or behind gaps narrower than two "
-                "cells; widen the gaps between the obstacles, or move it"
+                f"{np.max(fine.h):.3g} m: one of them is walled in, or behind gaps narrower than "
+                "two cells; widen the gaps between the obstacles, or move it"
             )
         return min((self._tight(way) for way in ways), key=path_length), ways
 

@@ -78,7 +78,10 @@ def stopping(brake: float, room: float, speed: float, slot: float) -> float:
     Solves w^2 = 2 brake (room - (speed + w) slot / 2) for w: what the slot itself takes is gone.
     """
     half = brake * slot / 2
-    return math.sqrt(max(half**2 + 2 * brake * room - 2 * half * speed, 0.0)) - half
+    found = math.sqrt(max(half**2 + 2 * brake * room - 2 * half * speed, 0.0)) - half
+    if found < 2 * half:  # then the stop takes a slot, however slow
+        found = min(found, room / slot - speed / 2)
+    return found
 
 
 @compiled
