@@ -2,8 +2,9 @@
 
 `guided`, the default of the environments, works for any number of obstacles and items. `path`, what
 policies learn from by default, is the same as seen from the path, and so are the actions. `robust`
-adds what kept the flight from its commands. `paper` is the state S = {q, v, l, m, p} of the paper's
-section IV-B. All return named parts, each (N, d), in order.
+adds what kept the
+flight from its commands,. `paper` is the state S = {q, v, l, m, p} of the
+paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
 from __future__ import annotations
@@ -80,7 +81,10 @@ def guided(world: World, state: State) -> Parts:
 
 
 def path(world: World, state: State) -> Parts:
-    """`guided` in the frame of the path, see `Approach.frame`; with it actions are in it too."""
+    """`guided` with vectors in the frame of the path; `guide_direction` and walls stay as they are.
+
+    With it actions are in that frame too, see `Approach.frame`.
+    """
     return _seen(world, state, state.approach.frame)
 
 

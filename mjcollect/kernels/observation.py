@@ -134,18 +134,6 @@ def nearest_boxes(
 
 
 @compiled
-def walls_row(bounds: Array, q: Array, reach: float, axes: Array, out: Array) -> None:
-    """Closeness to the bounds ahead on each of three axes, then behind, (6,); as with boxes."""
-    out[:] = 0.0
-    for k in range(3):
-        for side in range(2):
-            gap = max((bounds[side, k] - q[k]) * (2 * side - 1), -reach / 2)  # beyond: up to 2
-            for j in range(3):
-                towards = axes[j, k] * (2 * side - 1) / (1.0 + gap / reach)
-                out[j if towards > 0.0 else 3 + j] += abs(towards)
-
-
-@compiled
 def frame_row(direction: Array, frame: Array) -> None:
     """Axes (3, 3) of a path: along it, level to its left, and upwards from both."""
     x, y = direction[0], direction[1]
@@ -200,7 +188,8 @@ def guided(
         seen_from(axes, v[i], v_max, row[0:3])
         seen_from(axes, v[i], 2 * change, row[3:6])
         squash(row[3:6])
-        seen_from(axes, direction[i], 1.0, row[6:9])
+        for k in range(3):
+            row[6 + k] = direction[i, k]
         at = 9
         for a in range(1, ahead.shape[1]):
             seen_from(axes, ahead[i, a], 1.6 * stopping, row[at : at + 3])
@@ -235,7 +224,9 @@ def guided(
         for b in range(nearest):
             seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[at : at + 3])
             at += 3
-        walls_row(bounds, q[i], reach, axes, row[at : at + 6])
+        for k in range(3):
+            row[at + k] = math.tanh((q[i, k] - bounds[0, k]) / reach)
+            row[at + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / reach)
         at += 6
         # Where full braking from now on would end, as seen from the goal; where the tour goes on.
         size = norm(v[i])
