@@ -88,7 +88,9 @@ class DistanceField:
             self._distance = distance.astype(np.float32)
         self._free, self._outside = np.isfinite(self._distance), outside
 
-    def _leaks(self, near: Array, straight: Array, ball: float, blocked: np.ndarray) -> np.ndarray:
+    def _leaks(
+        self, near: np.ndarray, straight: Array, ball: float, blocked: np.ndarray
+    ) -> np.ndarray:
         """Which nodes (n, 3) of the ball have a step out of it, not blocked, through a box. (n,).
 
         Only there: elsewhere no cell is free that a box is in.

@@ -2,9 +2,8 @@
 
 `guided`, the default of the environments, works for any number of obstacles and items. `path`, what
 policies learn from by default, is the same as seen from the path, and so are the actions. `robust`
-adds what kept the
-flight from its commands,. `paper` is the state S = {q, v, l, m, p} of the
-paper's section IV-B. All return named parts, each (N, d), in order.
+adds what kept the flight from its commands. `paper` is the state S = {q, v, l, m, p} of the paper's
+section IV-B. All return named parts, each (N, d), in order.
 """
 
 from __future__ import annotations

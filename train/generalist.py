@@ -48,7 +48,7 @@ from train.workers import connect_ray, need_ray
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
 LEARN = LearnConfig(
-    updates=60_000, least_updates=60_000, patience=60_000, extra_updates=0, envs=128, width=192,
+    updates=120_000, least_updates=120_000, patience=120_000, extra_updates=0, envs=128, width=192,
     buffer=1_000_000, actor_delay=2_000, noise_min=0.02, noise_max=0.3, demonstrations=50_000,
     guided_until=0.0, eval_every=5_000, eval_episodes=4,
 )  # fmt: skip
