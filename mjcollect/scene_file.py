@@ -20,7 +20,7 @@ class SceneError(ValueError):
     def __init__(self, field: str, value: object, fix: str) -> None:
         """Keep the three parts as attributes and join them into one message."""
         self.field, self.value, self.fix = field, value, fix
-        super().__init__(f"{field}: {_short(value)}: {fix}")
+        super().__init__(printable(f"{field}: {_short(value)}: {fix}"))
 
 
 class _Box(BaseModel):
@@ -101,6 +101,11 @@ def parse(text: str) -> dict[str, Any]:
     flat["bounds"] = [parsed.bounds.min, parsed.bounds.max]
     flat["obstacles"] = [[box.min, box.max] for box in parsed.obstacles]
     return flat
+
+
+def printable(text: str) -> str:
+    """Text from a file, fit for a terminal: control characters are written as escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _short(value: object) -> str:

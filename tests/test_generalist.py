@@ -98,6 +98,7 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
     same(out, finished)
 
 
+@pytest.mark.slow
 def test_learns_with_shards_and_goes_on_after_a_stop(finished, tmp_path, monkeypatch):
     """Two processes that simulate; stopped in the middle, the same policy comes out."""
     more = [*TINY, "--shards", "2", "--updates", "32", "--least-updates", "32", "--eval-every", "8"]

@@ -352,3 +352,11 @@ def test_documented_example_is_valid():
     assert shown["segments"] == [row | {"distance": pytest.approx(row["distance"], abs=0.005)}]
     for key in scene.to_dict():
         assert f"| `{key}` |" in page.read_text(encoding="utf-8")
+
+
+def test_control_characters_of_a_file_are_not_echoed():
+    """They could rewrite the terminal's title, or what it showed before."""
+    error = SceneError("\x1b]0;gone\x07", "a\x1b[2Jb\u202ec", "fix it")
+    assert str(error).isprintable()
+    assert "\\x1b[2J" in str(error)
+    assert error.field == "\x1b]0;gone\x07"

@@ -42,7 +42,7 @@ def makes(scene_file):
     return [partial(simulations, course, count, seed) for seed, count in enumerate(COUNTS)]
 
 
-@pytest.fixture(params=["local", "ray"])
+@pytest.fixture(params=["local", pytest.param("ray", marks=pytest.mark.slow)])
 def crew(request):
     if request.param == "ray":
         ray = pytest.importorskip("ray")

@@ -244,13 +244,18 @@ def _finish(
         write_learning(folder, len(trained))
     folder.write_json("mission.json", result)
     folder.unlock()
+
+    def write_report() -> None:
+        folder.write_text("report.md", report(folder, course.scene, result, args.plots, notes))
+
+    write_report()  # before the video, which takes long and may be stopped
     if args.video:
         from mjcollect.render import render_in_child
 
         reason = render_in_child(folder.path)
         if reason:
             say(f"no video: {reason}")
-    folder.write_text("report.md", report(folder, course.scene, result, args.plots, notes))
+        write_report()  # with a link to it
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

@@ -340,11 +340,16 @@ def _finish(folder: RunFolder, args: Args) -> int:
     """Render what is missing, write the report, print the result; 0 if it is a success."""
     result = folder.read_json("mission.json")
     assert result is not None
-    if args.video:
-        _film(folder, len(result["order"]))
     notes = _notes(folder, len(result["segments"]))
     scene = Scene.load(folder.path / "scene.json")
-    folder.write_text("report.md", report(folder, scene, result, args.plots, notes))
+
+    def write_report() -> None:
+        folder.write_text("report.md", report(folder, scene, result, args.plots, notes))
+
+    write_report()  # before the videos, which take long and may be stopped
+    if args.video:
+        _film(folder, len(result["order"]))
+        write_report()  # with links to them
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 
