@@ -222,7 +222,7 @@ def test_it_leaves_a_bound_that_rounding_has_put_it_beyond(outside):
 def test_after_the_slot_braking_takes_all_the_room(brake, room, speed, slot):
     then = stopping(brake, room, speed, slot)
     left = room - (speed + then) * slot / 2
-    if then > 0.0:
-        assert then**2 / (2 * brake) == pytest.approx(left, abs=1e-6)
+    if then > 0.0:  # a stop takes a whole slot, however slow
+        assert max(then**2 / (2 * brake), then * slot / 2) == pytest.approx(left, abs=1e-6)
     else:  # nothing forward will do
         assert room - speed * slot / 2 <= 1e-6

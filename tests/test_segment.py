@@ -98,7 +98,8 @@ def test_starts_from_a_policy_and_stops_at_once_if_it_is_good_enough(
     result = json.loads((out / "segment.json").read_text())
     assert (result["updates"], result["env_steps"]) == (0, 0)
     course = Course.segment(Scene.load(scene_file), (0, 1), 1)
-    own = fly(course, [TrainedPolicy.load(pupil_file)])
+    policy = TrainedPolicy.load(pupil_file)
+    own = fly(course, [policy], policy.observation)
     flown = Trajectory.load(out / "trajectory.csv")
     for name in ("t", "x", "v", "a"):
         np.testing.assert_array_equal(getattr(flown, name), getattr(own.trajectory, name))
