@@ -9,6 +9,7 @@ process of its own. Times are compared on the segments in which all of them arri
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -55,8 +56,8 @@ class Args:
 
 def flights(args: Args, name: str) -> dict[str, list[Any]]:
     """Seconds of each segment, None where it did not arrive; slots, and those bent."""
-    import mjcollect.kernels.shield as rule
-
+    # The module; the package's attribute of that name is the function.
+    rule: Any = importlib.import_module("mjcollect.kernels.shield")
     rule.HELD, rule.BENT = MANOEUVRES[name]  # before the first call compiles it
     from mjcollect.batch import Simulations
     from mjcollect.episode import Rules
