@@ -29,11 +29,12 @@ from train.policies import SHIPPED, digest, weights_file
 from train.pool import draw_leg
 
 FIRST = HELD_OUT + 60_000
-# Slots for which a command is held before braking, and shares of it beside full braking.
+# Slots for which a command is held before braking, and shares of it beside full braking; 1 is the
+# command itself, which is not allowed by then, and stands for none.
 MANOEUVRES: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {
-    "full braking": ((0,), ()),
+    "full braking": ((0,), (1.0,)),
     "and partial braking": ((0,), (0.75, 0.5, 0.25)),
-    "and the command held on, as round a corner": ((0, 2, 4, 8), ()),
+    "and the command held on, as round a corner": ((0, 2, 4, 8), (1.0,)),
     "all of these (ours)": ((0, 2, 4, 8), (0.75, 0.5, 0.25)),
 }
 
