@@ -11,7 +11,7 @@ from mjcollect.episode import Rules
 from train.ddpg import make_actor
 from train.learn_config import LearnConfig
 from train.plain_actor import PlainActor
-from train.policies import PATIENCE, TrainedPolicy, check_size, digest, start_from
+from train.policies import TrainedPolicy, check_size, digest, start_from
 from train.runs import RunError
 
 
@@ -68,10 +68,9 @@ def test_learning_goes_on_from_a_policy_of_the_same_shape(tmp_path):
     TrainedPolicy(make_actor(45, 16), "robust").save(path)
     policy, learn = start_from(path, LearnConfig(updates=5))
     assert (learn.observation, learn.width, learn.updates) == ("robust", 16, 5)
-    assert (learn.least_updates, learn.patience) == (0, PATIENCE)
-    asked = LearnConfig(least_updates=7, patience=4_000)
+    assert learn.least_updates == 0
+    asked = LearnConfig(least_updates=7)
     assert start_from(path, asked)[1].least_updates == 7
-    assert start_from(path, asked)[1].patience == 4_000
     assert policy.observation == "robust"
     for field, value in (("width", 32), ("observation", "paper")):
         with pytest.raises(RunError, match=f"--{field}: {value}"):

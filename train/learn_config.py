@@ -21,8 +21,7 @@ class LearnConfig:
     gap: float = 0.05
     """Seconds: stop when arriving from everywhere within this of the least cost, on average."""
     patience: int = 2_500
-    """Updates without a better evaluation after which training stops early; the default counts as
-    1,000 where learning goes on from a policy."""
+    """Updates without a better evaluation after which training stops early."""
     extra_updates: int = 10_000
     """Further updates, at most, if by then no evaluated policy has arrived from every start."""
     envs: int = 64

@@ -27,7 +27,6 @@ from train.plain_actor import PlainActor
 from train.runs import RunError
 
 SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
-PATIENCE = 1_000  # usual one of learning that goes on from a policy: little is left to find
 # What reading a file that is no policy ends in.
 UNREADABLE = (
     OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,
@@ -117,7 +116,7 @@ def start_from(
     """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
 
     Its observation and width are taken over. Unless `learn` asks for something else than usual, no
-    update is made where it is good enough, and learning ends after `PATIENCE` without gain.
+    update is made where it is good enough.
 
     Args:
         flag: that named the file.
@@ -139,13 +138,12 @@ def start_from(
             raise RunError(
                 f"--{field}: {asked}: the policy of {flag} {path} has {value}; leave one out"
             )
-    least, patience = learn.least_updates, learn.patience
+    least = learn.least_updates
     return policy, replace(
         learn,
         observation=policy.observation,
         width=policy.width,
         least_updates=0 if least == usual.least_updates else least,
-        patience=PATIENCE if patience == usual.patience else patience,
     )
 
 
