@@ -37,7 +37,7 @@ TURN_SHARE = 0.6  # of the tolerance: how far an aim is moved towards the inside
 
 
 class GuidanceError(ValueError):
-    """No passage to the goal was found on the finest grid."""
+    """No passage to the goal was found on the finest grid, or slots are too long to steer in."""
 
 
 class Way(NamedTuple):
@@ -92,8 +92,15 @@ class Guidance:
             built: `path` and `way` of the same guidance, from `guidance_file`.
 
         Raises:
-            GuidanceError: `start` and the goal are not connected on the finest grid.
+            GuidanceError: `start` and the goal are not connected on the finest grid, or one slot of
+                full acceleration leads further than the bounds are wide.
         """
+        leap, extent = scene.a_max * scene.slot**2 / 2, float(np.ptp(scene.bounds, axis=0).max())
+        if leap > extent:
+            raise GuidanceError(
+                f"slot: {scene.slot} s: too long to steer in: one slot at a_max leads {leap:.3g} m "
+                f"far, the bounds are {extent:.3g} m wide; shorten slot or lower a_max"
+            )
         self.scene, self.node, self.start, self.beyond = scene, node, start, beyond
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
         self.aim = choose_aim(scene, self.goal, self.tolerance, start, beyond)

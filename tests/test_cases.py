@@ -25,8 +25,8 @@ def planned(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "depot_2m_from_a_wall", "lab_room", "city_suzhou200", "item_30cm_from_a_wall",
-        "item_10cm_above_a_roof", "slot_of_5_s", "epsilon_1mm",
+        "depot_2m_from_a_wall", "lab_room", "city_suzhou200", "city_suzhou400",
+        "item_30cm_from_a_wall", "item_10cm_above_a_roof", "slot_of_5_s", "epsilon_1mm",
     ],
 )  # fmt: skip
 def test_the_law_flies_it(name):
@@ -57,6 +57,12 @@ def test_what_is_walled_in_is_refused_by_name():
     """The slit is as wide as the body, to the last digit."""
     with pytest.raises(GuidanceError, match=r"to items\[0\].*walled in"):
         planned("item_in_a_cage_with_a_1m_slit")
+
+
+def test_slots_too_long_to_steer_in_are_refused():
+    """One slot of full acceleration leads out of this cube from anywhere."""
+    with pytest.raises(GuidanceError, match=r"^slot: 0.2 s: too long to steer in"):
+        planned("city_in_a_21_cm_cube")
 
 
 def test_a_leg_begins_where_a_body_can_be():

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from tqdm import tqdm
 
 from mjcollect.course import Course
 from mjcollect.planners.mpc import Mpc
 from mjcollect.task import FlightTask, Physics, make_environment
 from mjcollect.trajectory import Recorder, Trajectory
+
+SILENT = 5.0  # seconds that a flight may take without a progress bar
 
 Policy = Callable[[np.ndarray], np.ndarray]
 
@@ -99,10 +102,14 @@ def record(
     success, contacts, slots = False, 0, 0
     arrivals: list[float] = []
     shielded: list[bool] = []
+    bar = tqdm(
+        total=course.step_limit, desc="flight, at most", unit="slot", delay=SILENT, leave=False
+    )
     while not step.last():
         flat = np.concatenate([np.atleast_1d(part) for part in step.observation.values()])
         step = environment.step(pilot(flat.astype(np.float32), task))
         slots += 1
+        bar.update()
         outcome = task.outcome
         assert outcome is not None
         shielded.append(bool(outcome.shielded[0]))
@@ -114,6 +121,7 @@ def record(
         if slot.arrived[0]:
             arrivals.append(slots * scene.substeps * scene.physics_step)
         success = bool(outcome.success[0])
+    bar.close()
     physics.free()
     return Flight(
         recorder.trajectory(), success, contacts, tuple(arrivals), tuple(shielded), scene.slot

@@ -10,7 +10,6 @@ shortest path. Spare time in the last slot goes into a stop nearer to the next t
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +35,6 @@ GRAIN = 2.0  # metres between the places on the path tried for being in sight
 JOIN = 60.0  # metres along the path within which it is joined between its corners
 FIRST_SHARE = 0.6  # of a_max at which the first guess moves along the path
 ROUNDS = 6  # of solving anew round the last solution where there is no plan yet
-WALLS = 2.0  # metres to keep from the bounds where a body is given
 SETTLED = 0.5  # metres by which a round's end moves when nothing more is to be gained
 TRIES = 3  # numbers of slots tried in a decision
 INSIDE = 1e-3  # metres of the tolerance kept in reserve
@@ -88,14 +86,12 @@ class Mpc:
         course: Guided,
         horizon: int = HORIZON,
         look_past: bool = True,
-        body: float | None = None,
     ) -> None:
         """Prepare for `course`.
 
         Args:
             horizon: slots planned. look_past: within its ball, stop as near to the next target as
-                the time allows. body: metres to keep from boxes, if more than the UAV's radius; and
-                `WALLS` from the bounds, but for a start and an end beside them.
+                the time allows.
 
         Raises:
             ValueError: the horizon is too short.
@@ -105,10 +101,7 @@ class Mpc:
         self._course, self._horizon, self._look_past = course, horizon, look_past
         self._scene = course.scene
         self._world = World.stack([course.scene])
-        scene = course.scene
-        if body is not None:
-            scene = dataclasses.replace(scene, uav_radius=max(body, scene.uav_radius))
-        self._program = Program(scene, WALLS if body is not None else 0.0)
+        self._program = Program(course.scene)
         self._plan: Plan | None = None
         self._target = -1
         self.counts: Counter[str] = Counter()

@@ -25,7 +25,6 @@ PROXIMITY_COST = 1e-3  # metres of distance that a metre of comfort is worth, pe
 ELASTIC_COST = 30.0  # the same where boxes may be overlapped for the time being
 EFFORT_COST = 1e-6  # metres of distance per (m/s^2)^2 and slot
 SHORT = 1e-5  # share of the limits kept in reserve: more than what the solver's tolerance takes
-WALL_SHARE = 0.2  # of a_max with which to move away from a wall, if that much is wanted
 HAIR = 1e-3  # metres kept from boxes beyond what is proven, for the same reason
 
 
@@ -56,13 +55,9 @@ class Program:
         statuses: how often Clarabel ended in which status.
     """
 
-    def __init__(self, scene: Scene, walls: float = 0.0) -> None:
-        """Programs for flights in `scene`.
-
-        Args:
-            walls: metres to keep from the bounds, but for a start and an end beside them.
-        """
-        self.scene, self._walls = scene, walls
+    def __init__(self, scene: Scene) -> None:
+        """Programs for flights in `scene`."""
+        self.scene = scene
         self._settings = settings()
         self.statuses: Counter[str] = Counter()
 
@@ -91,7 +86,7 @@ class Program:
         self._dynamics(rows, at_q, at_v)
         zero = rows.count
         self._boxes(rows, at_q, at_slack, path, elastic)
-        self._bounds(rows, at_q, at_v, path, None if ball is None else ball[0])
+        self._bounds(rows, at_q, at_v, path)
         rows.cones = [clarabel.ZeroConeT(zero), clarabel.NonnegativeConeT(rows.count - zero)]
         self._limits(rows, at_v)
         if ball is not None:
@@ -156,9 +151,8 @@ class Program:
         at_q: NDArray[np.intp],
         at_v: NDArray[np.intp],
         path: Array,
-        end: Array | None = None,
     ) -> None:
-        """Inside the bounds at every instant, near walls only; clear of them between start and end.
+        """Inside the bounds at every instant, near walls only.
 
         A slot's parabola lies in the triangle of its ends and the point where its tangents meet:
         q_k + slot / 2 (v_k + a_k step / 2), step / 2 for the semi-implicit shift.
@@ -168,32 +162,13 @@ class Program:
         for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
             piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT)
             room = side * (wall - path[0])[axis]
-            clear = self._clear(wall, piece, axis, path, end)
-            rows.add(room - clear - 1e-7, (at_q[piece + 1, axis], side))
+            rows.add(room - 1e-7, (at_q[piece + 1, axis], side))
             rows.add(
                 room,
                 (at_q[piece, axis], side),
                 (at_v[piece, axis], side * (scene.slot / 2 - lag)),
                 (at_v[piece + 1, axis], side * lag),
             )
-
-    def _clear(
-        self,
-        wall: Array,
-        piece: NDArray[np.intp],
-        axis: NDArray[np.intp],
-        path: Array,
-        end: Array | None,
-    ) -> Array:
-        """Metres to keep from a wall at the ends of pieces: less where start or end are near it."""
-        scene = self.scene
-        pace = WALL_SHARE * scene.a_max * scene.slot**2 / 2
-        clear = np.full(len(piece), self._walls)
-        np.minimum(clear, np.abs(path[0] - wall)[axis] + pace * (piece + 1) ** 2, out=clear)
-        if end is not None:
-            left = len(path) - 2 - piece
-            np.minimum(clear, np.abs(end - wall)[axis] + pace * left**2, out=clear)
-        return clear
 
     def _limits(self, rows: Rows, at_v: NDArray[np.intp]) -> None:
         """|v_{k+1} - v_k| <= a_max slot in every slot, |v_k| <= v_max at inner slot starts."""
