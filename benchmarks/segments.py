@@ -79,6 +79,8 @@ def to_mark(scene: Scene, seed: int) -> dict[str, float | None]:
     trainer = segment_trainer(course, LearnConfig(), seed)
     found: dict[str, float | None] = {"mark_seconds": None, "mark_updates": None}
     for _ in trainer.run():
+        if not trainer.rows:  # not evaluated yet
+            continue
         last = trainer.rows[-1]
         if last["eval_success_rate"] == 1.0 and last["eval_mean_time"] <= limit:
             seconds = time.perf_counter() - begun
