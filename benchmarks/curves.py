@@ -14,7 +14,17 @@ from typing import Any
 import numpy as np
 import tyro
 
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure, save
+from mjcollect.render.time_figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LABEL,
+    ORANGE,
+    PURPLE,
+    RED,
+    figure,
+    save,
+)
 
 COLOURS = {
     "our settings": GREEN,

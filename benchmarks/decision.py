@@ -22,15 +22,15 @@ import tyro
 from tensordict import TensorDict
 
 from benchmarks.results import save
-from mjcollect.course import Course
-from mjcollect.episode import Episodes, Rules
+from mjcollect.envs.course import Course
+from mjcollect.envs.dm_env import FlightTask
+from mjcollect.envs.episode import Episodes, Rules
+from mjcollect.envs.recording import record
+from mjcollect.learning.networks import make_actor
+from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.planners.mpc import HORIZON, Mpc
-from mjcollect.scene import Scene
-from mjcollect.task import FlightTask
-from mjcollect.tour import plan_order
-from train.ddpg import make_actor
-from train.flight_recorder import record
-from train.policies import TrainedPolicy
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
 
 TARGET = 0.1  # ms, for the network alone and with the observation
 NETWORK, TORCH = "policy: network", "policy: network through torch"

@@ -25,13 +25,12 @@ from typing import Any
 import tyro
 
 from benchmarks.results import save
-from mjcollect.course import Course
-from mjcollect.inspect_scene import first_blocked
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
-from train.presets import PAPER, with_slot
-from train.runs import INTERRUPTED, say, stop_on_ctrl_c
-from train.workers import Done, Job, open_workers, run_jobs, settings_arguments
+from mjcollect.envs.course import Course
+from mjcollect.scene.order import first_blocked, plan_order
+from mjcollect.scene.scene import Scene
+from train.jobs.workers import Done, Job, open_workers, run_jobs, settings_arguments
+from train.support.command_line import INTERRUPTED, say, stop_on_ctrl_c
+from train.support.presets import PAPER, with_slot
 
 KEPT = (
     "success", "success_rate", "time", "detour_time", "lower_bound", "contacts", "shield_share",

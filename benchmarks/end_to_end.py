@@ -30,14 +30,13 @@ from stable_baselines3.common.noise import NormalActionNoise
 
 from benchmarks.results import save
 from benchmarks.sb3 import make_sb3, peer_versions
-from mjcollect.course import Course
-from mjcollect.inspect_scene import first_blocked
-from mjcollect.scene import Scene
-from mjcollect.task import make_environment
-from mjcollect.tour import plan_order
-from train.evaluation import Evaluator
-from train.learn import segment_trainer
-from train.learn_config import LearnConfig
+from mjcollect.envs.course import Course
+from mjcollect.envs.dm_env import make_environment
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.evaluation import Evaluator
+from mjcollect.learning.trainer import segment_trainer
+from mjcollect.scene.order import first_blocked, plan_order
+from mjcollect.scene.scene import Scene
 
 TARGET = 3.0
 

@@ -27,8 +27,9 @@ from tensordict import TensorDict
 
 from benchmarks.results import save
 from benchmarks.sb3 import Spaces, make_sb3, peer_versions
-from train.ddpg import make_actor, make_buffer, make_critic
-from train.lean import LEARNERS
+from mjcollect.learning.fast_ddpg import LEARNERS
+from mjcollect.learning.networks import make_actor, make_critic
+from mjcollect.learning.replay import make_buffer
 
 GAMMA, TAU, RATE = 0.99, 0.01, 1e-3
 TARGETS = {"SB3": 1.3, "hand-written": 0.9}

@@ -26,15 +26,15 @@ import torch
 import tyro
 
 from benchmarks.results import save
-from mjcollect.course import Course
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import Flight, fly_law, record
 from mjcollect.generate import generate
+from mjcollect.learning.policy import SHIPPED, policy_digest
 from mjcollect.planners.mpc import Mpc
-from mjcollect.planners.reference import Reference
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
-from train.flight_recorder import Flight, fly_law, record
-from train.mission_report import mission_result
-from train.policies import SHIPPED, digest
+from mjcollect.planners.reference.reference import Reference
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
+from train.support.mission_report import mission_result
 
 SHOWN = (
     "success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations",
@@ -155,7 +155,7 @@ def scenes(args: Args) -> list[Scene]:
 
 def missions(args: Args, rows: list[Row]) -> None:
     """Fly what `rows` does not hold yet, add it and save."""
-    shipped = digest(SHIPPED)
+    shipped = policy_digest(SHIPPED)
     done = {
         (row["scene"], row["planner"], row["order_method"])
         for row in rows

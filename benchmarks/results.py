@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from train.runs import versions as all_versions
+from train.support.run_folder import versions as all_versions
 
 
 def save(

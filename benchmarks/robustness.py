@@ -27,21 +27,21 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.results import save
-from mjcollect.batch import Simulations
-from mjcollect.bounds import detour_bound
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure
-from mjcollect.charts import save as save_figure
-from mjcollect.course import Course
-from mjcollect.disturbance import Disturbance, Disturbances
-from mjcollect.episode import Rules
-from mjcollect.guidance import GuidanceError
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.guidance.guidance import GuidanceError
+from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
 from mjcollect.planners.mpc import Mpc
-from mjcollect.planners.reference import NoFlight, Reference
+from mjcollect.planners.reference.reference import NoFlight, Reference
+from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure
+from mjcollect.render.time_figures import save as save_figure
+from mjcollect.scene.bounds import detour_bound
 from train.generalist import DISTURBANCE, HELD_OUT
-from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
-from train.pool import draw_leg
-from train.processes import importing_pool
+from train.jobs.processes import importing_pool
 from train.reproduction.tables import summary as mean_and_interval
+from train.support.segment_pool import draw_segment
 
 LEVELS: dict[str, tuple[float, ...]] = {
     "wind": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
@@ -269,7 +269,7 @@ def one_segment(args: Args, job: tuple[int, Sequence[str]]) -> list[dict[str, An
     """Every flight of some pilots on one segment; none where the guidance finds no way."""
     torch.set_num_threads(1)
     number, names = job
-    leg = draw_leg(args.seed, number)
+    leg = draw_segment(args.seed, number)
     with tempfile.TemporaryDirectory() as nowhere, contextlib.suppress(GuidanceError):
         course = leg.course(Path(nowhere))
         pilots: dict[str, tuple[str, Callable[[], Pilot]]] = {}
@@ -293,7 +293,7 @@ def one_segment(args: Args, job: tuple[int, Sequence[str]]) -> list[dict[str, An
 def policies(pilots: Sequence[str]) -> dict[str, str]:
     """Digests of those pilots that are policies."""
     files = {name: SHIPPED if name == "policy" else Path(name) for name in pilots}
-    return {name: digest(file) for name, file in files.items() if name not in OTHERS}
+    return {name: policy_digest(file) for name, file in files.items() if name not in OTHERS}
 
 
 def flown_before(every: Path | None, args: Args) -> list[dict[str, Any]]:

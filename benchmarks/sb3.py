@@ -17,8 +17,8 @@ from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.td3.policies import Actor, TD3Policy
 from torch import nn
 
-from train.ddpg import shrink_last
-from train.runs import versions
+from mjcollect.learning.networks import shrink_last
+from train.support.run_folder import versions
 
 
 class LayerNormPolicy(TD3Policy):

@@ -20,14 +20,13 @@ from pathlib import Path
 import tyro
 
 from benchmarks.results import save
-from mjcollect.bounds import detour_bound
-from mjcollect.course import Course
+from mjcollect.envs.course import Course
 from mjcollect.generate import generate
-from mjcollect.inspect_scene import first_blocked, segments_table
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
-from train.learn import segment_trainer
-from train.learn_config import LearnConfig
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.trainer import segment_trainer
+from mjcollect.scene.bounds import detour_bound
+from mjcollect.scene.order import first_blocked, plan_order, segments_table
+from mjcollect.scene.scene import Scene
 from train.segment import Args as SegmentArgs
 from train.segment import train_segment
 

@@ -24,9 +24,9 @@ import tyro
 
 from benchmarks.results import save
 from mjcollect.generate import LAYOUTS
+from mjcollect.learning.policy import SHIPPED, policy_digest, weights_file
 from train.generalist import HELD_OUT
-from train.policies import SHIPPED, digest, weights_file
-from train.pool import draw_leg
+from train.support.segment_pool import draw_segment
 
 FIRST = HELD_OUT + 60_000
 # Slots for which a command is held before braking, and shares of it beside full braking; 1 is the
@@ -58,17 +58,17 @@ class Args:
 def flights(args: Args, name: str) -> dict[str, list[Any]]:
     """Seconds of each segment, None where it did not arrive; slots, and those bent."""
     # The module; the package's attribute of that name is the function.
-    rule: Any = importlib.import_module("mjcollect.kernels.shield")
+    rule: Any = importlib.import_module("mjcollect.flight.shield")
     rule.HELD, rule.BENT = MANOEUVRES[name]  # before the first call compiles it
-    from mjcollect.batch import Simulations
-    from mjcollect.episode import Rules
-    from train.policies import TrainedPolicy
+    from mjcollect.envs.batch import Simulations
+    from mjcollect.envs.episode import Rules
+    from mjcollect.learning.policy import TrainedPolicy
 
     policy = TrainedPolicy.load(weights_file(args.policy))
     found: dict[str, list[Any]] = {"seconds": [], "slots": [], "shielded": [], "contacts": []}
     for layout in LAYOUTS:
         for number in range(FIRST, FIRST + args.segments):
-            course = draw_leg(args.seed, number, layout).course(Path("nowhere"))
+            course = draw_segment(args.seed, number, layout).course(Path("nowhere"))
             sims = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
             sims.place(np.array([0]), *course.starts("point", 1, np.random.default_rng(0)))
             slots = shielded = contacts = 0
@@ -123,7 +123,7 @@ def main(args: Args) -> int:
                 "shield_share": sum(one["shielded"]) / sum(one["slots"]),
             }
         )
-    found = {"policy": digest(args.policy), "compared": sum(all_arrive), "rows": rows}
+    found = {"policy": policy_digest(args.policy), "compared": sum(all_arrive), "rows": rows}
     save(args.out, found, arguments=json.loads(json.dumps(asdict(args), default=str)))
     for row in rows:
         print(

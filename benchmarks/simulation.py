@@ -26,12 +26,12 @@ import tyro
 from torchrl.envs import DMControlWrapper
 
 from benchmarks.results import save
-from mjcollect.batch import BatchedFlightEnv, Simulations
-from mjcollect.course import Course
-from mjcollect.mjcf import compile_model
-from mjcollect.scene import Scene
-from mjcollect.task import make_environment
-from mjcollect.tour import plan_order
+from mjcollect.envs.batch import BatchedFlightEnv, Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.dm_env import make_environment
+from mjcollect.scene.mjcf import compile_model
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
 
 RAW, ROLLOUT = "raw mj_step", "mujoco.rollout, N = 256"
 SINGLE, WRAPPED = "dm-control environment", "dm-control environment, TorchRL's wrapper"

@@ -23,16 +23,16 @@ import tyro
 from tqdm import tqdm
 
 from benchmarks.results import save
-from mjcollect.batch import Simulations
-from mjcollect.bounds import detour_bound
-from mjcollect.course import Course
-from mjcollect.episode import Rules
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
 from mjcollect.generate import LAYOUTS
-from mjcollect.guidance import GuidanceError
+from mjcollect.guidance.guidance import GuidanceError
+from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
+from mjcollect.scene.bounds import detour_bound
 from train.generalist import HELD_OUT
-from train.policies import SHIPPED, TrainedPolicy, digest, weights_file
-from train.pool import draw_leg
-from train.processes import importing_pool
+from train.jobs.processes import importing_pool
+from train.support.segment_pool import draw_segment
 
 FIRST = HELD_OUT + 20_000
 MARK = 1.08  # of detour time
@@ -76,7 +76,7 @@ def segment(file: Path, seed: int, job: tuple[str, int]) -> dict[str, Any] | Non
     """A segment flown by both; None where the guidance finds no way."""
     torch.set_num_threads(1)
     layout, number = job
-    leg = draw_leg(seed, number, layout)
+    leg = draw_segment(seed, number, layout)
     with tempfile.TemporaryDirectory() as nowhere:
         try:
             course = leg.course(Path(nowhere))
@@ -120,7 +120,7 @@ def main(args: Args) -> int:
     found = summary(rows)
     save(
         args.out,
-        {"policy": digest(args.policy), "refused": len(jobs) - len(rows), "summary": found,
+        {"policy": policy_digest(args.policy), "refused": len(jobs) - len(rows), "summary": found,
          "segments": rows},
         arguments=json.loads(json.dumps(asdict(args), default=str)),
     )  # fmt: skip

@@ -6,29 +6,32 @@ Importing the package is light: names load on first use, and no GL is touched.
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-_EXPORTS = {
+_HOME = {
+    "BatchedFlightEnv": "mjcollect.envs.batch",
+    "Course": "mjcollect.envs.course",
+    "LearnConfig": "mjcollect.learning.config",
+    "Mpc": "mjcollect.planners.mpc",
+    "Reference": "mjcollect.planners.reference",
     "Scene": "mjcollect.scene",
     "SceneError": "mjcollect.scene",
+    "Simulations": "mjcollect.envs.batch",
+    "TrainedPolicy": "mjcollect.learning.policy",
+    "Trainer": "mjcollect.learning.trainer",
     "Trajectory": "mjcollect.trajectory",
-    "load": "mjcollect.task",
+    "asset_path": "mjcollect.scene.assets",
+    "load": "mjcollect.envs.dm_env",
+    "plan_order": "mjcollect.scene",
+    "segment_trainer": "mjcollect.learning.trainer",
 }
-__all__ = ["Scene", "SceneError", "Trajectory", "asset_path", "load"]
-
-
-def asset_path(*parts: str) -> Path:
-    """Path of a bundled asset, in a checkout (`assets/`) or in an installed wheel."""
-    package = Path(__file__).resolve().parent
-    installed = package / "assets"
-    root = installed if installed.is_dir() else package.parent / "assets"
-    return root.joinpath(*parts)
+__all__ = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
-    if name in _EXPORTS:
-        return getattr(importlib.import_module(_EXPORTS[name]), name)
+    """Import a public name where it lives."""
+    if name in _HOME:
+        return getattr(importlib.import_module(_HOME[name]), name)
     raise AttributeError(f"module 'mjcollect' has no attribute {name!r}")

@@ -12,15 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mjcollect.geometry import Array, point_box_distance
-from mjcollect.scene import Scene, SceneError
+from mjcollect.geometry.boxes import point_box_distance
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.file_format import SceneError
+from mjcollect.scene.scene import Scene
 
 LAYOUTS = ("floating", "city")
 EXTENT = 1000.0
 SIDES = (50.0, 200.0)  # m, of floating boxes and of a city box's footprint
 HEIGHTS = (100.0, 600.0)  # m, of city boxes
 BOX_GAP, DEPOT_GAP, ITEM_BOX_GAP, ITEM_GAP = 5.0, 30.0, 10.0, 20.0  # m, at least
-
 _REFUSALS = 300  # refused draws in a row before boxes get smaller
 _SHRINK = 0.9
 _LEAST_SCALE = 0.1

@@ -12,11 +12,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.scene import Scene
+from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 
 Array = NDArray[np.float64]
-
 TOLERANCE = 1e-6  # m, m/s, m/s^2 and s: what round-off may cost
 REST = 1e-6  # m/s; slower is at rest, the paper's v = 0
 _BISECTIONS = 60

@@ -8,11 +8,15 @@ import pytest
 import torch
 from pupils import pupil
 
-from mjcollect.course import Course
-from mjcollect.scene import Scene
+from mjcollect.envs.course import Course
+from mjcollect.scene.scene import Scene
 
 FLAT = [[0.0, 0.0, 0.0], [400.0, 60.0, 60.0]]
+
+
 torch.set_num_threads(1)  # two busy threads wait for each other on a busy machine
+
+
 BOXES = [
     [[190.0, 0.0, 0.0], [210.0, 40.0, 55.0]],  # in the way from the depot to item 0
     [[60.0, 0.0, 0.0], [80.0, 20.0, 20.0]],

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjcollect.batch import Simulations
-from mjcollect.scene import Scene
+from mjcollect.envs.batch import Simulations
+from mjcollect.scene.scene import Scene
 
 FLAT = np.array([[0.0, 0.0, 0.0], [400.0, 60.0, 60.0]])
 GAP = 6.0  # metres between boxes, and from them to the bounds unless they lie against them

@@ -4,7 +4,8 @@
     python -m tests.fingerprint --against before.json
 
 The digests are of every bit, so both runs must be on one machine. `tests/test_fingerprint.py`
-compares the figures beside the digests, which rounding does not change, with `tests/fingerprint.json`.
+compares the figures beside the digests, which rounding does not change, with those of
+`tests/fingerprint.json`.
 """
 
 from __future__ import annotations
@@ -19,17 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from mjcollect.batch import Simulations
-from mjcollect.course import Course
-from mjcollect.disturbance import Disturbance, Disturbances
-from mjcollect.episode import Rules
-from mjcollect.planners.reference import Reference
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
-from train.flight_recorder import Flight, fly, fly_law, fly_mpc, record
-from train.learn import segment_trainer
-from train.learn_config import LearnConfig
-from train.policies import SHIPPED, start_from
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.envs.recording import Flight, fly, fly_law, record
+from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import SHIPPED
+from mjcollect.learning.trainer import segment_trainer
+from mjcollect.planners.mpc import fly_mpc
+from mjcollect.planners.reference.reference import Reference
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
+from train.support.starting_policy import start_from
 
 SCENES = ("scenario_1", "scenario_2", "sweep_8", "city_6")
 PILOTS = ("law", "mpc", "reference", "policy")

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from mjcollect.batch import Simulations
-from mjcollect.course import Course
-from mjcollect.episode import Rules
-from train.ddpg import make_actor
-from train.policies import TrainedPolicy
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.learning.networks import make_actor
+from mjcollect.learning.policy import TrainedPolicy
 
 
 def pupil(courses: Sequence[Course], observation: str, width: int = 64) -> TrainedPolicy:

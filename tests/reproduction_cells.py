@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from mjcollect.tour import plan_order
+from mjcollect.scene.order import plan_order
 from train.reproduction import orders
 from train.reproduction.document import spreads
 from train.reproduction.plan import Sizes, make_plan, random_scenes

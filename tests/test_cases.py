@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjcollect.course import Course
-from mjcollect.guidance import GuidanceError, place, room_to_boxes
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import fly_law, record
+from mjcollect.guidance.aim import place, room_to_boxes
+from mjcollect.guidance.guidance import GuidanceError
 from mjcollect.planners.mpc import Mpc
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
-from train.flight_recorder import fly_law, record
 
 CASES = Path(__file__).parent / "cases"
 

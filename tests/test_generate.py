@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjcollect.generate import GenerateError, generate, main
-from mjcollect.scene import Scene
+from mjcollect.scene.scene import Scene
 
 
 def box_gaps(boxes):

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mjcollect.geometry import segment_box_distance
-from mjcollect.scene import Scene
+from mjcollect.geometry.boxes import segment_box_distance
+from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import Violation, _clearance, verify
 

@@ -14,24 +14,25 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from mjcollect.course import Course
-from mjcollect.planners.reference import NoFlight, Reference
-from mjcollect.scene import Scene
-from mjcollect.tour import order_label, plan_order
-from train.flight_recorder import Flight, fly, fly_law, fly_mpc, record
-from train.learn_config import LearnConfig
-from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from
-from train.runs import (
-    INTERRUPTED,
-    RunError,
-    RunFolder,
-    check_writable,
-    default_folder,
-    run_program,
-    say,
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import Flight, fly, fly_law, record
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.planners.mpc import fly_mpc
+from mjcollect.planners.reference.reference import NoFlight, Reference
+from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.scene import Scene
+from train.support.command_line import INTERRUPTED, run_program, say
+from train.support.mission_report import (
+    mission_result,
+    outcome,
+    report,
+    write_flight,
+    write_learning,
 )
-from train.unseen import Stopped, fly_unseen
+from train.support.repair import Stopped, fly_unseen
+from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
+from train.support.starting_policy import check_size, start_from
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def fly_mission(args: Args) -> int:
         "order": list(order),
         "planner": args.planner,
         "run": None if args.run is None else str(args.run),
-        "policy": None if args.policy is None else digest(args.policy),
+        "policy": None if args.policy is None else policy_digest(args.policy),
         "seed": seed,
         "shield": shield,
     }
@@ -250,7 +251,7 @@ def _finish(
 
     write_report()  # before the video, which takes long and may be stopped
     if args.video:
-        from mjcollect.render import render_in_child
+        from mjcollect.render.video import render_in_child
 
         reason = render_in_child(folder.path)
         if reason:

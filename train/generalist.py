@@ -23,27 +23,19 @@ import numpy as np
 import torch
 import tyro
 
-from mjcollect.batch import Fleet, Simulations
-from mjcollect.disturbance import Disturbance, Disturbances
-from mjcollect.observation import ADAPTIVE
-from train.evaluation import Evaluator, stream
-from train.learn import Trainer, make_simulations
-from train.learn_config import LearnConfig
-from train.learning_loop import learn_to_the_end
-from train.pool import build_all, draw_leg
-from train.runs import (
-    INTERRUPTED,
-    RunError,
-    RunFolder,
-    default_folder,
-    progress_bar,
-    run_program,
-    say,
-    stop_on_ctrl_c,
-    versions,
-)
-from train.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
-from train.workers import connect_ray, need_ray
+from mjcollect.envs.batch import Fleet, Simulations
+from mjcollect.envs.observation import ADAPTIVE
+from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.evaluation import Evaluator
+from mjcollect.learning.random_streams import stream
+from mjcollect.learning.trainer import Trainer, make_simulations
+from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
+from train.jobs.workers import connect_ray, need_ray
+from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
+from train.support.run_folder import RunError, RunFolder, default_folder, versions
+from train.support.segment_pool import build_all, draw_segment
+from train.support.training_loop import learn_to_the_end
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
 FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
@@ -110,7 +102,7 @@ class Generalist:
         if args.shards > 0:
             self._crew = LocalCrew(args.shards) if args.ray is None else RayCrew(args.shards)
         config, seed = args.learn, args.seed
-        courses = [draw_leg(seed, number).course(pool) for number in held_out]
+        courses = [draw_segment(seed, number).course(pool) for number in held_out]
         disturbances = None
         if args.disturbed > 0.0:  # calm from the point itself, disturbed from elsewhere in its ball
             calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
@@ -173,7 +165,7 @@ def simulations(
     name = f"rotation {rotation}" + (f" shard {part}" if args.shards else "")
     rng = np.random.default_rng(stream(args.seed, name))
     drawn = rng.choice(numbers, min(-(-args.courses // shards), len(numbers)), replace=False)
-    legs = [draw_leg(args.seed, int(number)).course(pool) for number in drawn]
+    legs = [draw_segment(args.seed, int(number)).course(pool) for number in drawn]
     disturbances = None
     if args.disturbed > 0.0:
         calm = rng.permutation(envs) >= round(args.disturbed * envs)
@@ -295,7 +287,7 @@ def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
 
 def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[int]]) -> None:
     """Save the best policy, the curves, and generalist.json last."""
-    from mjcollect.plots import plot_learning
+    from mjcollect.render.time_figures import plot_learning
 
     assert trainer.best is not None
     assert trainer.best_policy is not None

@@ -17,26 +17,14 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from mjcollect.course import Course
-from mjcollect.scene import Scene
-from mjcollect.tour import order_label, plan_order
-from train.flight_recorder import fly
-from train.learn_config import LearnConfig
-from train.mission_display import MissionDisplay
-from train.mission_report import mission_result, outcome, report, write_flight, write_learning
-from train.policies import SHIPPED, TrainedPolicy, check_size, digest, start_from
-from train.presets import PresetName, with_preset, with_slot
-from train.processes import warm_up
-from train.runs import (
-    INTERRUPTED,
-    RunError,
-    RunFolder,
-    default_folder,
-    run_program,
-    say,
-    stop_on_ctrl_c,
-)
-from train.workers import (
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import fly
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.scene import Scene
+from train.jobs.processes import warm_up
+from train.jobs.workers import (
     Done,
     Job,
     attempt_seed,
@@ -46,6 +34,18 @@ from train.workers import (
     open_workers,
     run_jobs,
 )
+from train.support.command_line import INTERRUPTED, run_program, say, stop_on_ctrl_c
+from train.support.mission_display import MissionDisplay
+from train.support.mission_report import (
+    mission_result,
+    outcome,
+    report,
+    write_flight,
+    write_learning,
+)
+from train.support.presets import PresetName, with_preset, with_slot
+from train.support.run_folder import RunError, RunFolder, default_folder
+from train.support.starting_policy import check_size, start_from
 
 MOST_SEGMENT_VIDEOS = 10  # items; beyond this only the whole mission is filmed
 
@@ -113,7 +113,7 @@ def train_mission(args: Args) -> int:
     args, policy = _begin_from(args)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
-        from mjcollect.travel_cost import travel_times
+        from mjcollect.guidance.travel_times import travel_times
 
         cost = travel_times(scene)
     order = plan_order(scene, args.order, seed=args.seed, cost=cost)
@@ -127,7 +127,7 @@ def train_mission(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
-        "weights": None if args.weights is None else digest(args.weights),
+        "weights": None if args.weights is None else policy_digest(args.weights),
         "retries": args.retries,
         "learn": dataclasses.asdict(args.learn),
     }
@@ -324,7 +324,7 @@ def _notes(folder: RunFolder, segments: int) -> list[str]:
 
 def _film(folder: RunFolder, items: int) -> None:
     """Render what videos are missing: of the mission, and of segments stopped before theirs."""
-    from mjcollect.render import render_in_child
+    from mjcollect.render.video import render_in_child
 
     wanted = [(folder.path, "mission.mp4")]
     if items <= MOST_SEGMENT_VIDEOS:

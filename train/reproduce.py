@@ -20,7 +20,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from mjcollect.tour import MAX_EXACT, TourError, plan_order
+from mjcollect.scene.order import MAX_EXACT, TourError, plan_order
+from train.jobs.workers import connect_ray, need_ray
 from train.reproduction.compare import differences, load_cells
 from train.reproduction.document import document
 from train.reproduction.page import page
@@ -28,8 +29,8 @@ from train.reproduction.pictures import draw
 from train.reproduction.plan import PARTS, PLANNERS, Cell, Plan, Sizes, make_plan
 from train.reproduction.prepare import note_machine, time_orders, write_scenes
 from train.reproduction.running import Settings, fly_cells, result_of
-from train.runs import INTERRUPTED, RunError, RunFolder, run_program, say
-from train.workers import connect_ray, need_ray
+from train.support.command_line import INTERRUPTED, run_program, say
+from train.support.run_folder import RunError, RunFolder
 
 QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, first_scene=7001)
 QUICK_TRAINING = ("--updates", "300", "--extra-updates", "0", "--retries", "0")

@@ -17,29 +17,22 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
-from mjcollect.bounds import detour_bound, segment_bound
-from mjcollect.course import Course
-from mjcollect.inspect_scene import first_blocked
-from mjcollect.progress import node_name
-from mjcollect.scene import Scene
-from mjcollect.tour import legs, plan_order
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import fly
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import TrainedPolicy, policy_digest
+from mjcollect.learning.trainer import Trainer, segment_trainer
+from mjcollect.planners.mpc import fly_mpc
+from mjcollect.scene.bounds import detour_bound, segment_bound
+from mjcollect.scene.order import first_blocked, legs, node_name, plan_order
+from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
-from train.flight_recorder import fly, fly_mpc
-from train.learn import Trainer, segment_trainer
-from train.learn_config import LearnConfig
-from train.learning_loop import learn_to_the_end
-from train.mission_report import write_record
-from train.policies import TrainedPolicy, check_size, digest, start_from
-from train.presets import PresetName, with_preset, with_slot
-from train.runs import (
-    INTERRUPTED,
-    RunError,
-    RunFolder,
-    default_folder,
-    run_program,
-    say,
-    versions,
-)
+from train.support.command_line import INTERRUPTED, run_program, say
+from train.support.mission_report import write_record
+from train.support.presets import PresetName, with_preset, with_slot
+from train.support.run_folder import RunError, RunFolder, default_folder, versions
+from train.support.starting_policy import check_size, start_from
+from train.support.training_loop import learn_to_the_end
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,7 @@ def train_segment(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
-        "weights": None if args.weights is None else digest(args.weights),
+        "weights": None if args.weights is None else policy_digest(args.weights),
         "learn": dataclasses.asdict(args.learn),
     }
     name = [f"segment{index}", *([args.preset] if args.preset else []), f"seed{args.seed}"]
@@ -195,7 +188,8 @@ def _finish(
     folder.write("policy.pt", policy.save)
     write_record(folder, flight)
     if plots:
-        from mjcollect.plots import plot_learning, plot_path_3d, plot_path_top
+        from mjcollect.render.path_figures import plot_path_3d, plot_path_top
+        from mjcollect.render.time_figures import plot_learning
 
         ways = (scene, flight.trajectory, order, index, course.guidance[0].path)
         folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
@@ -254,7 +248,7 @@ def _report(folder: RunFolder, video: bool) -> int:
     result = folder.read_json("segment.json")
     assert result is not None
     if video and not (folder.path / "segment.mp4").is_file():
-        from mjcollect.render import render_in_child
+        from mjcollect.render.video import render_in_child
 
         reason = render_in_child(folder.path)
         if reason:

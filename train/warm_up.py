@@ -2,24 +2,48 @@
 
     python -m train.warm_up
 
-See `mjcollect.warm_up`.
+Else it happens at the first use, once for each version of the code. `scripts/setup` runs this.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
-from mjcollect import warm_up
-from train.norm_relu import norm_relu_backward
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.geometry.boxes import segment_box_distance
+from mjcollect.learning.norm_relu import norm_relu_backward
+from mjcollect.scene.scene import Scene
 
 
 def main() -> None:
     """Fly a small scene, and one backward pass."""
-    warm_up.main()
+    fly_small()
     d, h, z = (torch.ones(2, 4) for _ in range(3))
     mean, rstd, scale = torch.zeros(2, 1), torch.ones(2, 1), torch.ones(4)
     out = torch.empty(4), torch.empty(4), torch.empty(4)
     norm_relu_backward(d, h, z, mean, rstd, scale, 2, out)
+
+
+def fly_small() -> None:
+    """Fly a small scene."""
+    scene = Scene(
+        name="warm-up",
+        seed=0,
+        bounds=np.array([[0.0, 0.0, 0.0], [120.0, 40.0, 40.0]]),
+        depot=np.array([10.0, 20.0, 20.0]),
+        items=np.array([[110.0, 20.0, 20.0]]),
+        obstacles=np.array([[[50.0, 0.0, 0.0], [60.0, 30.0, 40.0]]]),
+    )
+    course = Course.mission(scene, (0,))
+    simulations = Simulations([course], 2, start="spread", threads=1)
+    simulations.reset()
+    simulations.step(simulations.episodes.guidance_action())
+    simulations.observe()
+    simulations.close()
+    course.guidance[0].query(scene.items)
+    segment_box_distance(scene.depot, scene.items[0], scene.obstacles)
 
 
 if __name__ == "__main__":

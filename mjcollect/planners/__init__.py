@@ -1,1 +1,1 @@
-"""Planners that need no training: what the learned policy is compared with."""
+"""Pilots that plan and do not learn: model predictive control, and the reference."""

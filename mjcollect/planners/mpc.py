@@ -13,21 +13,22 @@ import copy
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from mjcollect.flight import World
-from mjcollect.geometry import Array, segment_clear
-from mjcollect.guidance import Guidance
-from mjcollect.paths import marks, path_length, point_along
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Episodes
+from mjcollect.envs.recording import Flight, record
+from mjcollect.flight.straight_line import time_to_go
+from mjcollect.flight.world import World
+from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.polyline import marks, path_length, point_along
+from mjcollect.guidance.guidance import Guidance
 from mjcollect.planners.plan import Plan, is_flyable
-from mjcollect.planners.program import COMFORT, Program
-from mjcollect.reward import time_to_go
-from mjcollect.scene import Scene
-
-if TYPE_CHECKING:
-    from mjcollect.episode import Episodes
+from mjcollect.planners.slot_program import COMFORT, Program
+from mjcollect.scene.scene import Scene
 
 HORIZON = 25  # slots
 LEAD = 40.0  # metres from a plan's end to the carrot on the path ahead of it, at most
@@ -53,7 +54,7 @@ class Guided(Protocol):
 
 
 @dataclass(frozen=True)
-class _Leg:
+class _SegmentView:
     """The decision's view of the current leg.
 
     Attributes:
@@ -158,7 +159,7 @@ class Mpc:
         self._plan, self._target = plan, target
         return plan
 
-    def _first(self, leg: _Leg) -> Plan | None:
+    def _first(self, leg: _SegmentView) -> Plan | None:
         """A plan out of nothing."""
         for slots in self._numbers(leg.likely):
             plan = self._solve(leg, self._guess(leg, slots), arrive=True, rounds=ROUNDS)
@@ -166,7 +167,7 @@ class Mpc:
                 return plan
         return self._solve(leg, self._guess(leg, self._horizon), arrive=False, rounds=ROUNDS)
 
-    def _next(self, leg: _Leg, rest: Plan) -> Plan | None:
+    def _next(self, leg: _SegmentView, rest: Plan) -> Plan | None:
         """A plan out of what is left of the last one."""
         path = rest.q
         if rest.arrives:
@@ -187,7 +188,9 @@ class Mpc:
         """Numbers of slots in which to try to arrive."""
         return range(max(likely, 2), min(likely + TRIES - 1, self._horizon) + 1)
 
-    def _solve(self, leg: _Leg, path: Array, *, arrive: bool, rounds: int = 1) -> Plan | None:
+    def _solve(
+        self, leg: _SegmentView, path: Array, *, arrive: bool, rounds: int = 1
+    ) -> Plan | None:
         """A flyable plan near `path` (M + 1, 3), or None.
 
         Args:
@@ -231,7 +234,7 @@ class Mpc:
         seen = segment_clear(end, points, scene.obstacles, scene.uav_radius)
         return np.asarray(points[int(seen.argmax())])
 
-    def _look(self, q: Array, v: Array, target: int) -> _Leg:
+    def _look(self, q: Array, v: Array, target: int) -> _SegmentView:
         guidance = self._course.guidance[target]
         following = self._course.guidance[target + 1 : target + 2]
         beyond = following[0].path[1] if following and self._look_past else guidance.aim
@@ -239,7 +242,7 @@ class Mpc:
         straight = guidance.goal - q
         least = self._slots(float(np.linalg.norm(straight)), straight, v, guidance.tolerance)
         likely = self._slots(path_length(way), way[1] - way[0], v, guidance.tolerance)
-        return _Leg(
+        return _SegmentView(
             q=q,
             v=v,
             way=way,
@@ -274,7 +277,7 @@ class Mpc:
         entry = int(seen[-1]) if len(seen) else 0
         return np.concatenate([[q, points[entry]], path[corners > tried[entry]]])
 
-    def _guess(self, leg: _Leg, slots: int) -> Array:
+    def _guess(self, leg: _SegmentView, slots: int) -> Array:
         """Positions (slots + 1, 3) of a gentle motion from rest to rest along the way."""
         scene = self._scene
         push, time = FIRST_SHARE * scene.a_max, slots * scene.slot
@@ -302,3 +305,9 @@ def _along(path: Array, point: Array) -> float:
     gap = np.linalg.norm(path[:-1] + share[:, None] * step - point, axis=1)
     nearest = int(gap.argmin())
     return float(length[:nearest].sum() + share[nearest] * length[nearest])
+
+
+def fly_mpc(course: Course) -> tuple[Flight, str]:
+    """Fly `course` by a new MPC, without the shield; also how it decided, in a sentence."""
+    planner = Mpc(course)
+    return record(course, lambda _, task: planner.action(task.episodes)), planner.summary()

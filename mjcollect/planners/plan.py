@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjcollect.flight import World, contacts, leaves_bounds
-from mjcollect.geometry import Array
+from mjcollect.flight.contact import contacts, leaves_bounds
+from mjcollect.flight.straight_line import roll_out
+from mjcollect.flight.world import World
+from mjcollect.geometry.compiled import Array
 
 
 @dataclass(frozen=True)
@@ -47,22 +49,6 @@ class Plan:
             self.slot,
             self.arrives,
         )
-
-
-def roll_out(world: World, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
-    """Positions and velocities, each (M, n + 1, 3), of the physics steps in M slots.
-
-    Semi-implicit Euler as in MuJoCo, eq. (2)-(3): first the velocity, then the position.
-
-    Args:
-        q, v: (3,) where it begins. a: (M, 3) commands.
-    """
-    n = world.substeps
-    change = np.repeat(a, n, axis=0) * world.step
-    speeds = np.concatenate([v[None], v + np.cumsum(change, axis=0)])
-    path = np.concatenate([q[None], q + np.cumsum(speeds[1:] * world.step, axis=0)])
-    index = np.arange(len(a))[:, None] * n + np.arange(n + 1)
-    return path[index], speeds[index]
 
 
 def is_flyable(world: World, plan: Plan) -> bool:

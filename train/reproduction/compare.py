@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from train.runs import RunError
+from train.support.run_folder import RunError
 
 COMPARED = ("order", "success", "mission_time", "segment_times", "contacts", "updates")
 

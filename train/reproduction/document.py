@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from mjcollect.scene import Scene
+from mjcollect.scene.scene import Scene
 from train.reproduction import orders
 from train.reproduction.claims import claims
 from train.reproduction.paper import DDPG, LKH_DDPG, RANDOM_ORDERS, SCENARIOS, SWEEP, saving
 from train.reproduction.plan import Plan, Sizes
 from train.reproduction.running import result_of
 from train.reproduction.tables import entry_of, tables
-from train.runs import versions
+from train.support.run_folder import versions
 
 
 def machine() -> dict[str, Any]:

@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, RED, figure, save
+from mjcollect.render.time_figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LABEL,
+    ORANGE,
+    PURPLE,
+    RED,
+    figure,
+    save,
+)
 from train.reproduction.paper import DDPG, LKH_DDPG, MPC, SCHEMES, SWEEP
 from train.reproduction.plan import ABLATION, PLANNERS
 from train.reproduction.wording import percent

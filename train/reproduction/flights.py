@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from mjcollect.charts import BLACK, BLUE, GREEN, LABEL, RED, figure, save
-from mjcollect.plots import draw_boxes_3d, draw_boxes_top
-from mjcollect.scene import Scene
+from mjcollect.render.path_figures import draw_boxes_3d, draw_boxes_top
+from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, RED, figure, save
+from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 
 COLOURS = (GREEN, BLUE, RED)

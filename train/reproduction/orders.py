@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from mjcollect.bounds import leg_time, segment_bound
-from mjcollect.geometry import Array
-from mjcollect.scene import Scene
-from mjcollect.tour import legs
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.bounds import leg_time, segment_bound
+from mjcollect.scene.order import legs
+from mjcollect.scene.scene import Scene
 
 MOST = 8  # items of a random instance
 EXTENT, SPACING = 1000.0, 20.0  # m: the paper's cube, and the generator's least distance

@@ -9,7 +9,6 @@ from __future__ import annotations
 # The paper's schemes as (order, planner). Its MPC flies "a fixed pre-defined visiting sequence".
 LKH_DDPG, DDPG, MPC = ("lkh", "policy"), ("random", "policy"), ("given", "mpc")
 SCHEMES = {LKH_DDPG: "LKH-DDPG", DDPG: "DDPG without LKH", MPC: "MPC"}
-
 SCENARIOS: dict[str, dict[tuple[str, str], float]] = {
     "scenario_1": {LKH_DDPG: 71.8, DDPG: 87.4, MPC: 105.6},
     "scenario_2": {LKH_DDPG: 74.8, DDPG: 95.0, MPC: 82.4},
@@ -22,7 +21,6 @@ SWEEP: dict[tuple[str, str], dict[int, tuple[float, float]]] = {
     MPC: {1: (27.0, 27.0), 4: (82.4, 82.4), 5: (130.0, 130.0), 6: (130.0, 191.8),
           7: (130.0, 191.8), 8: (191.8, 191.8)},
 }  # fmt: skip
-
 # The orders of the look-alikes whose bounds come near the paper's times without LKH.
 RANDOM_ORDERS: dict[str, tuple[int, ...]] = {
     "scenario_1": (2, 3, 0, 1),

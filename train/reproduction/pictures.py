@@ -17,7 +17,7 @@ from train.reproduction.flights import Flown, plot_schemes
 from train.reproduction.paper import SCENARIOS, SCHEMES
 from train.reproduction.plan import Plan
 from train.reproduction.running import cell_folder
-from train.runs import RunFolder
+from train.support.run_folder import RunFolder
 
 
 def draw(folder: RunFolder, plan: Plan, doc: Mapping[str, Any]) -> dict[str, str]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mjcollect.generate import generate
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
 from train.reproduction.paper import RANDOM_ORDERS
 
 PLANNERS = ("policy", "mpc", "guidance", "reference")

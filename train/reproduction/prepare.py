@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 
-from mjcollect.scene import Scene
-from mjcollect.tour import plan_order
-from train.processes import importing_pool
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
+from train.jobs.processes import importing_pool
 from train.reproduction.document import machine
 from train.reproduction.plan import Order, Plan, Sizes, content, random_scenes
-from train.runs import RunError, RunFolder, say
+from train.support.command_line import say
+from train.support.run_folder import RunError, RunFolder
 
 
 def time_orders(folder: RunFolder, sizes: Sizes, workers: int, compute: bool) -> dict[str, Order]:
@@ -36,7 +37,7 @@ def time_orders(folder: RunFolder, sizes: Sizes, workers: int, compute: bool) ->
 
 def time_order(scene: Scene) -> Order:
     """LKH's order at the least time round the obstacles."""
-    from mjcollect.travel_cost import travel_times
+    from mjcollect.guidance.travel_times import travel_times
 
     return plan_order(scene, "lkh", cost=travel_times(scene))
 

@@ -15,9 +15,10 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from train.jobs.workers import Done, Job, open_workers, run_jobs
 from train.reproduction.plan import Cell
-from train.runs import RunFolder, stop_on_ctrl_c
-from train.workers import Done, Job, open_workers, run_jobs
+from train.support.command_line import stop_on_ctrl_c
+from train.support.run_folder import RunFolder
 
 # What is left of a finished cell, unless everything is kept.
 KEPT = ("mission.json", "trajectory.csv", "scene.json", "config.json", "command.txt", "report.md")

@@ -1,0 +1,285 @@
+"""Many simulations at once: N MuJoCo simulations behind one TorchRL environment.
+
+`mujoco.rollout` steps them on its own threads, each with a scene of its own if wanted, and
+returns every physics step, so a contact inside a slot is not lost. `episode.Episodes` gives the
+rules, the same as the single dm-control environment's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from mjcollect.envs.course import Course, StartKind
+from mjcollect.envs.episode import SAVED, Episodes, Outcome, Rules
+from mjcollect.envs.reward import PRESETS
+from mjcollect.flight.disturbance import Disturbances
+from mjcollect.geometry.compiled import Array, Bools, Indices
+from mjcollect.scene.mjcf import build, compile_model
+from mjcollect.scene.scene import Scene
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+FLAGS = ("done", "terminated", "truncated", "success", "crashed", "shielded")
+
+
+class Fleet(Protocol):
+    """N simulations, see `Simulations`, wherever they are."""
+
+    count: int
+
+    def reset(self, chosen: Indices | None = None) -> None: ...  # noqa: D102
+    def step(self, action: Array) -> Outcome: ...  # noqa: D102
+    def observe(self, chosen: Indices | None = None) -> Array: ...  # noqa: D102
+    def law(self) -> Array: ...  # noqa: D102
+    def seed(self, seed: int | None) -> None: ...  # noqa: D102
+    def state_dict(self) -> dict[str, Any]: ...  # noqa: D102
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
+
+
+class Simulations:
+    """N flights in plain NumPy: reset, step, observe."""
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        count: int,
+        *,
+        rules: Rules | None = None,
+        start: StartKind = "point",
+        rng: np.random.Generator | None = None,
+        threads: int = 2,
+        disturbances: Disturbances | None = None,
+    ) -> None:
+        """Compile one model per distinct scene and prepare the threads.
+
+        Args:
+            courses: one for all, or one per simulation. count: N. rules: observation and reward.
+            start: kind of start states; rng draws them. threads: of MuJoCo. disturbances: of these
+                simulations, if there are any.
+        """
+        rules = rules or Rules()
+        self.count, self.start = count, start
+        self.rng = rng or np.random.default_rng(0)
+        self.episodes = Episodes(courses, count, rules, disturbances)
+        solid = PRESETS[rules.reward].crash_ends
+        scenes = {id(course.scene): course.scene for course in courses}
+        models = {key: _compiled(scene, solid) for key, scene in scenes.items()}
+        each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
+        self._models = each
+        room = each[0] if len(models) == 1 else _largest(list(scenes.values()))
+        self._data = [mujoco.MjData(room) for _ in range(threads)]
+        # With one thread mujoco steps in the caller; threads=0 in its own terms.
+        self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
+        self._n = self.episodes.world.substeps
+        self.state = np.zeros((count, mujoco.mj_stateSize(each[0], STATE)))
+        self._control = np.empty((count, self._n, 3))
+        self._states = np.empty((count, self._n, self.state.shape[1]))
+        self._sensors = np.empty((count, self._n, each[0].nsensordata))
+
+    def close(self) -> None:
+        """Stop the threads."""
+        self._rollout.close()
+
+    def reset(self, chosen: Indices | None = None) -> None:
+        """Draw new starts for the simulations `chosen` (indices; None for all)."""
+        which = np.arange(self.count) if chosen is None else chosen
+        if len(which) == 0:
+            return
+        if len(self.episodes.courses) == 1:
+            q, v = self.episodes.courses[0].starts(self.start, len(which), self.rng)
+        else:
+            drawn = [self.episodes.course(i).starts(self.start, 1, self.rng) for i in which]
+            q = np.concatenate([pair[0] for pair in drawn])
+            v = np.concatenate([pair[1] for pair in drawn])
+        self.place(which, q, v)
+
+    def place(self, which: Indices, q: Array, v: Array) -> None:
+        """Begin episodes at q, v (n, 3) in the simulations `which` (n,)."""
+        self.state[which] = 0.0
+        self.state[which, 1:4], self.state[which, 4:7] = q, v
+        self.episodes.reset(which, q, v)
+
+    def step(self, action: Array) -> Outcome:
+        """Fly one slot with raw actions (N, 3)."""
+        self.acceleration = self.episodes.begin_slot(action)
+        disturbances, flown = self.episodes.disturbances, self.acceleration
+        if disturbances is not None:
+            flown = disturbances.controls(self.episodes.world, self.acceleration)
+        self.roll(flown)
+        return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
+
+    def law(self) -> Array:
+        """Actions (N, 3) of the guidance law."""
+        return self.episodes.guidance_action()
+
+    def seed(self, seed: int | None) -> None:
+        """Draw the next starts from this seed."""
+        self.rng = np.random.default_rng(seed)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything but courses and settings."""
+        episodes = self.episodes
+        disturbances = episodes.disturbances
+        return {
+            "rng": self.rng.bit_generator.state,
+            "simulations": torch.from_numpy(self.state.copy()),
+            "episodes": {name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED},
+            "disturbances": None if disturbances is None else disturbances.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go back to a state of `state_dict`."""
+        self.rng.bit_generator.state = state["rng"]
+        self.state = state["simulations"].numpy().copy()
+        if self.episodes.disturbances is not None:
+            self.episodes.disturbances.load_state_dict(state["disturbances"])
+        self.episodes.load({name: v.numpy().copy() for name, v in state["episodes"].items()})
+
+    def roll(self, acceleration: Array) -> None:
+        """Let MuJoCo fly one slot with accelerations in m/s^2; no rules of flight.
+
+        Args:
+            acceleration: (N, 3) held for the slot, or (N, n, 3) for its physics steps.
+        """
+        self._control[:] = acceleration if acceleration.ndim == 3 else acceleration[:, None]
+        self._rollout.rollout(
+            self._models,
+            self._data,
+            self.state,
+            self._control,
+            skip_checks=True,
+            nstep=self._n,
+            state=self._states,
+            sensordata=self._sensors,
+        )
+        self.state = self._states[:, -1].copy()
+
+    @property
+    def path(self) -> Array:
+        """Positions (N, n, 3) of the last slot's physics steps."""
+        return self._states[:, :, 1:4]
+
+    @property
+    def speeds(self) -> Array:
+        """Velocities (N, n, 3) of the last slot's physics steps."""
+        return self._states[:, :, 4:7]
+
+    def observe(self, chosen: Indices | None = None) -> Array:
+        """Flat observation (N, D), the parts of `Episodes.observe` in their order.
+
+        With `chosen` (n,) only those simulations' rows, (n, D).
+        """
+        return np.concatenate(list(self.episodes.observe(chosen).values()), axis=-1)
+
+
+@lru_cache(maxsize=4)
+def _compiled(scene: Scene, solid: bool) -> mujoco.MjModel:
+    """The scene's model, which nobody changes: training and evaluation share it."""
+    return compile_model(scene, solid=solid)
+
+
+def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
+    """A model whose MjData has room for every scene's: `Rollout` writes past a smaller one."""
+    root = build(max(scenes, key=lambda scene: len(scene.obstacles)))
+    for index in range(max(len(scene.items) for scene in scenes)):
+        root.worldbody.add("site", name=f"room_{index}")
+    return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+
+
+class BatchedFlightEnv(EnvBase):
+    """TorchRL environment of batch size N over `Simulations`.
+
+    Observation float32 (N, D); action float32 (N, 3) in [-1, 1]. `success`, `crashed` and
+    `shielded` (the shield changed the command) come along with each step, Boolean (N, 1).
+    """
+
+    def __init__(self, simulations: Fleet, device: str = "cpu") -> None:
+        """Wrap `simulations`."""
+        n = simulations.count
+        super().__init__(device=device, batch_size=torch.Size([n]))
+        self.simulations = simulations
+        size = simulations.observe().shape[1]
+        flag = Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device)
+        self.observation_spec = Composite(
+            observation=Unbounded((n, size), dtype=torch.float32, device=device),
+            success=flag.clone(),
+            crashed=flag.clone(),
+            shielded=flag.clone(),
+            shape=(n,),
+            device=device,
+        )
+        self.action_spec = Bounded(-1.0, 1.0, (n, 3), dtype=torch.float32, device=device)
+        self.reward_spec = Unbounded((n, 1), dtype=torch.float32, device=device)
+        self.full_done_spec = Composite(
+            done=flag.clone(),
+            terminated=flag.clone(),
+            truncated=flag.clone(),
+            shape=(n,),
+            device=device,
+        )
+
+    def _flag(self, values: Bools) -> torch.Tensor:
+        return torch.from_numpy(values[:, None].copy()).to(self.device)
+
+    def _observe(self, chosen: Indices | None = None) -> torch.Tensor:
+        seen = self.simulations.observe(chosen).astype(np.float32)
+        return torch.from_numpy(seen).to(self.device)
+
+    def _dict(self, **more: torch.Tensor) -> TensorDict:
+        parts = {"observation": self._observe(), **more}
+        return TensorDict(parts, batch_size=self.batch_size, device=self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        which = None
+        if tensordict is not None and "_reset" in tensordict:
+            which = np.flatnonzero(tensordict["_reset"].cpu().numpy().reshape(-1))
+        self.simulations.reset(which)
+        no = np.zeros(self.simulations.count, dtype=bool)
+        return self._dict(**{flag: self._flag(no) for flag in FLAGS})
+
+    def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Begin anew where an episode has ended.
+
+        Does what `EnvBase` does through `_reset`, without computing the rows that it then drops.
+        """
+        chosen = np.flatnonzero(tensordict["done"].cpu().numpy())
+        if len(chosen):
+            self.simulations.reset(chosen)
+            rows = torch.from_numpy(chosen).to(self.device)
+            for name, values in list(tensordict.items()):
+                tensordict[name] = values.index_fill(0, rows, 0)
+            tensordict["observation"].index_copy_(0, rows, self._observe(chosen))
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict["action"].cpu().numpy().astype(np.float64)
+        outcome = self.simulations.step(action)
+        reward = torch.from_numpy(outcome.reward.astype(np.float32)[:, None]).to(self.device)
+        return self._dict(
+            reward=reward,
+            done=self._flag(outcome.terminated | outcome.truncated),
+            terminated=self._flag(outcome.terminated),
+            truncated=self._flag(outcome.truncated),
+            success=self._flag(outcome.success),
+            crashed=self._flag(outcome.slot.crashed),
+            shielded=self._flag(outcome.shielded),
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.simulations.seed(seed)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Stop MuJoCo's threads."""
+        if not self.is_closed:
+            self.simulations.close()
+        super().close(raise_if_closed=raise_if_closed)

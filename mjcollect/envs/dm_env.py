@@ -1,0 +1,251 @@
+"""The dm-control environment: one UAV on a segment or a whole mission, and the registry to load it.
+
+`mjcollect.load("segment", scene=..., segment=2)` gives a `dm_control.rl.control.Environment`.
+"""
+
+from __future__ import annotations
+
+import collections
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from dm_control import mujoco
+from dm_control.rl import control
+from dm_env import specs
+from mujoco import mj_step
+
+from mjcollect.envs.course import START_KINDS, Course, StartKind
+from mjcollect.envs.episode import Episodes, Outcome, Rules
+from mjcollect.envs.reward import PRESETS
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.mjcf import build
+from mjcollect.scene.order import plan_order
+from mjcollect.scene.scene import Scene
+
+DEFAULT_SCENE = "scenario_1"
+
+
+class Physics(mujoco.Physics):
+    """Simulation of one UAV that remembers every physics step of the last slot."""
+
+    path: Array  # (n, 3) positions after each step of the last slot
+    speeds: Array  # (n, 3) velocities
+    touch: np.ndarray  # (n,) contact sensor
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance by `nstep` steps, keeping each: a contact inside a slot must not be lost."""
+        data = self.data.ptr
+        q, v, sensors = data.qpos[:3], data.qvel[:3], data.sensordata
+        self.path, self.speeds = np.empty((nstep, 3)), np.empty((nstep, 3))
+        self.touch = np.empty(nstep, dtype=bool)
+        with self.check_invalid_state():
+            for k in range(nstep):
+                mj_step(self.model.ptr, data)
+                self.path[k], self.speeds[k] = q, v
+                self.touch[k] = sensors[0] > 0
+
+    def position(self) -> Array:
+        """Position (3,) of the UAV's centre in metres."""
+        return np.array(self.data.qpos[:3])
+
+    def velocity(self) -> Array:
+        """Velocity (3,) in m/s."""
+        return np.array(self.data.qvel[:3])
+
+    def speed(self) -> float:
+        """Norm of the velocity in m/s."""
+        return float(np.linalg.norm(self.velocity()))
+
+
+class FlightTask(control.Task):
+    """Fly a course: collect each target at rest, in turn, without touching anything."""
+
+    def __init__(
+        self,
+        course: Course,
+        rules: Rules,
+        start: StartKind = "point",
+        random: int | np.random.RandomState | None = None,
+    ) -> None:
+        """Set up the task.
+
+        Args:
+            course: nodes to visit. rules: observation and reward.
+            start: kind of start state, see `Course.starts`.
+            random: seed or random state of the starts.
+        """
+        if start not in START_KINDS:
+            raise ValueError(f"start: {start!r}: must be one of {', '.join(START_KINDS)}")
+        self.course, self.start = course, start
+        self.episodes = Episodes([course], 1, rules)
+        self.outcome: Outcome | None = None
+        self.acceleration = np.zeros(3)
+        # DMControlWrapper.set_seed replaces `_random` by a RandomState.
+        self._random = (
+            random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
+        )
+
+    @property
+    def random(self) -> np.random.RandomState:
+        """Random state of the starts."""
+        return self._random
+
+    @property
+    def leg(self) -> int:
+        """Targets reached so far: the index of the current leg of the course."""
+        return int(self.episodes.target[0])
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Put the UAV at a start state."""
+        rng = np.random.default_rng(self._random.randint(2**31))
+        q, v = self.course.starts(self.start, 1, rng)
+        self.place(physics, q[0], v[0])
+
+    def place(self, physics: Physics, q: Array, v: Array) -> None:
+        """Begin an episode at position and velocity (3,)."""
+        physics.data.qpos[:3], physics.data.qvel[:3] = q, v
+        self.episodes.reset(np.array([0]), q[None], v[None])
+        self.outcome = None
+
+    def action_spec(self, physics: Physics) -> specs.BoundedArray:
+        """Acceleration in units of a_max, each axis in [-1, 1]; see `flight.project`."""
+        return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="acceleration")
+
+    def before_step(self, action: Array, physics: Physics) -> None:
+        """Turn the raw action into a feasible command for the slot."""
+        self.acceleration = self.episodes.begin_slot(np.asarray(action, np.float64)[None])[0]
+        physics.set_control(self.acceleration)
+
+    def after_step(self, physics: Physics) -> None:
+        """Judge the slot."""
+        self.outcome = self.episodes.end_slot(
+            physics.path[None], physics.speeds[None, -1], physics.touch[None]
+        )
+
+    def get_observation(self, physics: Physics) -> collections.OrderedDict[str, Array]:
+        """Named parts of the observation."""
+        parts = self.episodes.observe()
+        return collections.OrderedDict((name, part[0]) for name, part in parts.items())
+
+    def get_reward(self, physics: Physics) -> float:
+        """Reward of the last slot."""
+        return float(self._last.reward[0])
+
+    def get_termination(self, physics: Physics) -> float | None:
+        """0 for arrival or crash, 1 at the step limit (a truncation), None to go on.
+
+        The step limit is the task's own: `Environment`'s would report an arrival or a crash on
+        the last step as a truncation.
+        """
+        if self._last.terminated[0]:
+            return 0.0
+        return 1.0 if self._last.truncated[0] else None
+
+    @property
+    def _last(self) -> Outcome:
+        if self.outcome is None:
+            raise RuntimeError("no slot has been flown since the episode began")
+        return self.outcome
+
+
+def make_environment(
+    course: Course,
+    *,
+    observation: str = "guided",
+    reward: str = "time",
+    start: StartKind = "point",
+    random: int | np.random.RandomState | None = None,
+    shield: bool = True,
+    environment_kwargs: dict[str, Any] | None = None,
+) -> control.Environment:
+    """dm-control environment of a course; see `load` for the arguments."""
+    rules = Rules(observation, reward, shield=shield)
+    task = FlightTask(course, rules, start, random)
+    root = build(course.scene, solid=PRESETS[reward].crash_ends)
+    physics = Physics.from_xml_string(root.to_xml_string(), root.get_assets())
+    return control.Environment(
+        physics,
+        task,
+        n_sub_steps=course.scene.substeps,
+        legacy_step=False,
+        **(environment_kwargs or {}),
+    )
+
+
+_TASKS: dict[str, Callable[..., Course]] = {}
+
+
+def register(name: str) -> Callable[[Callable[..., Course]], Callable[..., Course]]:
+    """Add a course maker `(scene, order, **kwargs) -> Course` to the registry.
+
+    Raises:
+        ValueError: the name is taken.
+    """
+
+    def add(maker: Callable[..., Course]) -> Callable[..., Course]:
+        if name in _TASKS:
+            raise ValueError(f"task: {name!r}: is already registered; choose another name")
+        _TASKS[name] = maker
+        return maker
+
+    return add
+
+
+@register("segment")
+def _segment(scene: Scene, order: tuple[int, ...], segment: int = 0) -> Course:
+    return Course.segment(scene, order, segment)
+
+
+@register("mission")
+def _mission(scene: Scene, order: tuple[int, ...]) -> Course:
+    return Course.mission(scene, order)
+
+
+def task_names() -> tuple[str, ...]:
+    """Names that `load` knows."""
+    return tuple(_TASKS)
+
+
+def load(
+    task: str,
+    scene: Scene | str | os.PathLike[str] = DEFAULT_SCENE,
+    *,
+    order: str = "lkh",
+    seed: int = 0,
+    observation: str = "guided",
+    reward: str = "time",
+    start: StartKind = "point",
+    random: int | np.random.RandomState | None = None,
+    shield: bool = True,
+    environment_kwargs: dict[str, Any] | None = None,
+    **task_kwargs: Any,
+) -> control.Environment:
+    """Load an environment by name.
+
+    Args:
+        task: `segment` (with `segment=I`) or `mission`.
+        scene: a Scene, a scene file, or the name of a bundled scene.
+        order: visiting order method, see `tour.plan_order`; `seed` is for `random`.
+        observation, reward: preset names. start: kind of start states.
+        random: seed of the start states.
+        shield: bend commands that leave no way to stop without touching anything.
+
+    Raises:
+        ValueError: an unknown name, with the valid ones. SceneError: the scene is refused.
+    """
+    if task not in _TASKS:
+        raise ValueError(f"task: {task!r}: must be one of {', '.join(_TASKS)}")
+    if not isinstance(scene, Scene):
+        scene = Scene.find(scene)
+    course = _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
+    return make_environment(
+        course,
+        observation=observation,
+        reward=reward,
+        start=start,
+        random=random,
+        shield=shield,
+        environment_kwargs=environment_kwargs,
+    )

@@ -1,0 +1,60 @@
+"""Where episodes start."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjcollect.flight.contact import is_outside
+from mjcollect.geometry.boxes import segment_gap
+from mjcollect.geometry.compiled import Array, Bools, Indices, compiled
+from mjcollect.geometry.vectors import dot, from_ball, norm
+
+
+@compiled
+def room_to_brake(
+    bounds: Array, boxes: Array, a_max: float, slot: float, radius: float, q: Array, v: Array
+) -> bool:
+    """Whether a body is in bounds and clear of boxes, and stays so while it brakes."""
+    ahead, speed = np.empty(3), norm(v)
+    # Braking in whole slots takes up to an eighth of a_max slot^2 more.
+    reach = speed / (2 * a_max) + a_max * slot**2 / 8 / max(speed, 1e-9)
+    for k in range(3):
+        ahead[k] = q[k] + v[k] * reach
+    if is_outside(bounds, q, 0.0) or is_outside(bounds, ahead, 0.0):
+        return False
+    free = True
+    for b in range(len(boxes)):  # by index: iteration forgets that boxes are contiguous
+        free = free and segment_gap(q, ahead, boxes[b]) >= radius
+    return free
+
+
+@compiled
+def try_starts(
+    bounds: Array, boxes: Array, a_max: float, slot: float, radius: float, middle: Array,
+    along: Array, half: Array, top: Array, kind: Indices, where: Array, where_share: Array,
+    speed: Array, speed_share: Array, way_q: Array, way_v: Array, todo: Indices, q: Array,
+    v: Array, wanting: Bools,
+) -> None:  # fmt: skip
+    """Starts of each `kind` (N,) in the episodes `todo`, which go on `wanting` if one does not fit.
+
+    A kind's positions fill the ellipsoid round `middle` (kinds, 3) with axis `along` (3,) and half
+    widths `half` (kinds, 2) along and across it; its velocities the ball of radius `top` (kinds,).
+    Beyond the last kind a start is as given, `way_q`, `way_v` (n, 3).
+    """
+    unit = np.empty(3)
+    for j in range(len(todo)):
+        i = todo[j]
+        if kind[i] < len(middle):
+            from_ball(where[j], where_share[j, 0], unit)
+            major, minor = half[kind[i], 0], half[kind[i], 1]
+            share = dot(unit, along)
+            for k in range(3):
+                across = unit[k] - share * along[k]
+                q[i, k] = middle[kind[i], k] + share * along[k] * major + across * minor
+            from_ball(speed[j], speed_share[j, 0], v[i])
+            for k in range(3):
+                v[i, k] *= top[kind[i]]
+        else:
+            for k in range(3):
+                q[i, k], v[i, k] = way_q[j, k], way_v[j, k]
+        wanting[i] = not room_to_brake(bounds, boxes, a_max, slot, radius, q[i], v[i])

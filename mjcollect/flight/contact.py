@@ -1,0 +1,124 @@
+"""Contact and leaving the bounds, eq. (6)-(8), and how a slot is judged by them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjcollect.flight.world import World, scene_of
+from mjcollect.geometry.boxes import segment_gap
+from mjcollect.geometry.compiled import Array, Bools, compiled, plain
+
+BOUNDS_TOLERANCE = 1e-6  # metres; the body's centre may lie on the bounds
+
+
+@dataclass(frozen=True)
+class Slot:
+    """What happened in one slot, each (N,); `first_event` is n where nothing ended the flight.
+
+    Attributes:
+        contact, outside: the body touched a box; its centre left the bounds.
+        arrived: it came to rest at its target without either.
+        first_event: index of the first physics step with a contact or out of bounds.
+    """
+
+    contact: Bools
+    outside: Bools
+    arrived: Bools
+    first_event: NDArray[np.int64]
+
+    @property
+    def crashed(self) -> Bools:
+        """Contact or out of bounds."""
+        return self.contact | self.outside
+
+
+@compiled
+def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
+    """Add to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
+    radius, boxes = world.radius[w, 0], world.boxes[w]
+    low, high = path[0].copy(), path[0].copy()
+    for s in range(1, len(path)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
+    for b in range(len(boxes)):  # by index: iteration forgets that boxes are contiguous
+        near = True
+        for k in range(3):
+            near = near and low[k] - radius <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + radius
+        if near:
+            for s in range(len(touch)):
+                touch[s] = touch[s] or segment_gap(path[s], path[s + 1], boxes[b]) < radius
+
+
+@compiled
+def is_outside(bounds: Array, point: Array, tolerance: float) -> bool:
+    """Whether a point lies outside the bounds (2, 3) by more than `tolerance`."""
+    for k in range(3):
+        if point[k] < bounds[0, k] - tolerance or point[k] > bounds[1, k] + tolerance:
+            return True
+    return False
+
+
+@compiled
+def event_rows(world: World, path: Array, tolerance: float, touch: Bools, outside: Bools) -> None:
+    """Contact and leaving the bounds, each (N, n), on paths (N, n + 1, 3) from the slot's start.
+
+    `touch` comes in as what was sensed. See `flight.contacts`, `flight.leaves_bounds`.
+    """
+    for i in range(len(path)):
+        w = scene_of(world, i)
+        sweep(world, w, path[i], touch[i])
+        for s in range(touch.shape[1]):
+            outside[i, s] = is_outside(world.bounds[w], path[i, s + 1], tolerance)
+
+
+def contacts(world: World, path: Array, sensed: Bools) -> Bools:
+    """Which physics steps touch an obstacle: sensed by MuJoCo, or swept over by the body.
+
+    The sensor describes the state before a step and can miss a graze between two states; the
+    sweep is the exact distance of the straight piece between two states to every box.
+
+    Args:
+        path: (N, n + 1, 3), positions at the slot's start and after each physics step.
+        sensed: (N, n), the contact sensor after each step.
+
+    Returns:
+        (N, n) booleans.
+    """
+    return _events(world, path, sensed)[0]
+
+
+def leaves_bounds(world: World, path: Array) -> Bools:
+    """Which positions (N, n, 3) lie outside the bounds, inclusive with 1e-6 m. Shape (N, n)."""
+    whole = np.concatenate([path[:, :1], path], axis=1)
+    return _events(world, whole, np.zeros(path.shape[:2], dtype=bool))[1]
+
+
+def _events(
+    world: World, path: Array, sensed: Bools, margin: float = BOUNDS_TOLERANCE
+) -> tuple[Bools, Bools]:
+    """`contacts` and `leaves_bounds` of a path (N, n + 1, 3)."""
+    touch, outside = sensed.copy(), np.empty(sensed.shape, dtype=bool)
+    event_rows(world, plain(path), margin, touch, outside)
+    return touch, outside
+
+
+def judge(
+    world: World, start: Array, path: Array, sensed: Bools, stop: Bools,
+    margin: float = BOUNDS_TOLERANCE,
+) -> Slot:  # fmt: skip
+    """Judge a slot from its physics steps.
+
+    Args:
+        start: (N, 3) position at the slot's start. path: (N, n, 3) positions after each step.
+        sensed: (N, n) contact sensor after each step. stop: (N,) whether it flew the stop.
+        margin: metres beyond the bounds that are still inside.
+    """
+    whole = np.concatenate([start[:, None], path], axis=1)
+    touch, out = _events(world, whole, sensed, margin)
+    event = touch | out
+    first = np.where(event.any(axis=1), event.argmax(axis=1), path.shape[1])
+    contact, outside = np.any(touch, axis=1), np.any(out, axis=1)
+    return Slot(contact, outside, stop & ~contact & ~outside, first)

@@ -1,0 +1,177 @@
+"""The shield: a command is flown only if a way to stop without touching anything is left after it.
+
+A backup is a manoeuvre known to be free: the last command held for some more slots, then full
+braking in a straight line. A command is allowed if after its slot some backup is free. If it is
+not, it is bent towards braking; if nothing bent is allowed either, the backup of the slot before
+is flown, which was free then and still is. So from rest, or from any state whose braking is free,
+no undisturbed flight ever touches a box or leaves the bounds: model predictive shielding (Bastani
+2019; Li and Bastani 2020).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjcollect.flight.projection import project_row
+from mjcollect.flight.world import World, scene_of
+from mjcollect.geometry.boxes import box_offset, segment_gap, slab
+from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.vectors import norm
+
+OUTSIDE = 1e-6  # metres beyond a bound to which undisturbed flights keep
+HAIR = 1e-6  # metres kept from boxes beyond the body's radius: rounding is far less
+HELD = (0, 2, 4, 8)  # slots for which a command is held in a backup, before braking
+BENT = (0.75, 0.5, 0.25)  # shares of a command beside full braking that are tried in turn
+
+
+@compiled
+def braking_row(world: World, w: int, v: Array, a: Array) -> None:
+    """Full braking: `a` (3,) in m/s^2 against the velocity, to rest within the slot if it can."""
+    speed = norm(v)
+    size = min(world.a_max[w, 0], speed / world.slot) / max(speed, 1e-12)
+    for k in range(3):
+        a[k] = -v[k] * size
+
+
+@compiled
+def roll_row(world: World, w: int, q: Array, v: Array, a: Array, more: int, path: Array) -> int:
+    """Points of `path` (..., 3) of a slot of `a`, `more` slots of it held, and full braking.
+
+    The physics steps as MuJoCo makes them; braking as one straight piece, never shorter than it is.
+    """
+    slot, step, count = world.slot, world.step, 1
+    at, now, held, raw = q.copy(), v.copy(), a.copy(), np.empty(3)
+    path[0] = q
+    for s in range(more + 1):
+        if s > 0:  # a held command is projected anew, since it must not exceed v_max
+            for k in range(3):
+                raw[k] = a[k] / world.a_max[w, 0]
+            project_row(world, w, now, raw, held)
+        for p in range(1, world.substeps + 1):
+            for k in range(3):
+                path[count, k] = at[k] + p * step * (now[k] + held[k] * step * (p + 1) / 2)
+            count += 1
+        for k in range(3):
+            at[k] = path[count - 1, k]
+            now[k] += held[k] * slot
+    # Braking ends with a slot of which only a part is needed: that takes longer, and farther.
+    speed, a_max = norm(now), world.a_max[w, 0]
+    part = speed / (a_max * slot) % 1.0
+    reach = speed / (2 * a_max) + part * (1.0 - part) * a_max * slot**2 / 2 / max(speed, 1e-9)
+    for k in range(3):
+        path[count, k] = at[k] + now[k] * reach
+    return count + 1
+
+
+@compiled
+def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -> bool:
+    """Whether the first `count` points of a path from q keep to the bounds and clear of boxes."""
+    boxes, bounds, radius = world.boxes[w], world.bounds[w], world.radius[w, 0]
+    low, high, last, offset = path[0].copy(), path[0].copy(), np.empty(3), np.empty(3)
+    for k in range(3):
+        for p in range(1, count - 1):
+            low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
+        least, most = bounds[0, k], bounds[1, k]
+        if least - q[k] > OUTSIDE:  # blown over a bound: no farther than within a slot
+            least = q[k] + min(v[k], 0.0) * world.slot
+        if q[k] - most > OUTSIDE:
+            most = q[k] + max(v[k], 0.0) * world.slot
+        # Outside by rounding: no farther, or nothing would ever be allowed from there.
+        least, most = min(least, q[k]), max(most, q[k])
+        end = path[count - 1, k]
+        if min(low[k], end) < least or max(high[k], end) > most:
+            return False
+        last[k] = end - path[count - 2, k]
+    for b in range(len(boxes)):
+        room, near = radius + HAIR, True
+        for k in range(3):
+            near = near and low[k] - room <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + room
+        if not near:
+            enter, leave = slab(path[count - 2], last, boxes[b], room, 1e-12)
+            near = enter <= leave and leave >= 0.0 and enter <= 1.0
+        if near:
+            # Nearer than that already, as at a start: no nearer, and away at once.
+            here = box_offset(q, boxes[b], offset)
+            for p in range(1, count):
+                gap = segment_gap(path[p - 1], path[p], boxes[b])
+                if gap < (min(room, here) if p == 1 else room):
+                    return False
+    return True
+
+
+@compiled
+def backup_row(world: World, w: int, q: Array, v: Array, a: Array, path: Array) -> int:
+    """Slots for which `a` is held in a free backup after its slot; -1 where there is none."""
+    for more in HELD:
+        count = roll_row(world, w, q, v, a, more, path)
+        if is_free(world, w, q, v, path, count):
+            return more
+    return -1
+
+
+@compiled
+def shield_row(
+    world: World, w: int, q: Array, v: Array, a: Array, held: Array, path: Array, left: int
+) -> tuple[int, bool]:
+    """Bend the command `a` (3,) until a backup is free after it.
+
+    Args:
+        held: (3,) the command of the backup so far, which is for `left` slots more; set anew.
+        path: room for the points of a backup.
+
+    Returns:
+        The slots of the new backup, and whether the command was changed.
+    """
+    more = backup_row(world, w, q, v, a, path)
+    if more >= 0:
+        held[:] = a
+        return more, False
+    braking, tried = np.empty(3), np.empty(3)
+    braking_row(world, w, v, braking)
+    for share in BENT:
+        for k in range(3):
+            tried[k] = braking[k] + share * (a[k] - braking[k])
+        more = backup_row(world, w, q, v, tried, path)
+        if more >= 0:
+            a[:] = tried
+            held[:] = a
+            return more, True
+    changed = False
+    if left > 0:
+        for k in range(3):
+            tried[k] = held[k] / world.a_max[w, 0]
+        project_row(world, w, v, tried, braking)
+    for k in range(3):
+        changed = changed or a[k] != braking[k]
+        a[k] = braking[k]
+    return max(left - 1, 0), changed
+
+
+@compiled
+def shield_rows(
+    world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
+    acted: Bools,
+) -> None:  # fmt: skip
+    """See `flight.shield`."""
+    path = np.empty((world.substeps * (max(HELD) + 1) + 2, 3))
+    for i in range(len(v)):
+        before = stop[i]
+        left[i], acted[i] = shield_row(
+            world, scene_of(world, i), q[i], v[i], a[i], held[i], path, left[i]
+        )
+        stop[i] = before and not acted[i]
+
+
+def shield(
+    world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
+    acted: Bools,
+) -> None:  # fmt: skip
+    """Bend commands that leave no way to stop without touching anything, see `kernels.shield`.
+
+    Args:
+        q, v: (N, 3). a: (N, 3) m/s^2, feasible commands; changed where the shield acts.
+        stop: (N,) whether they are the stop that collects; cleared where the shield acts.
+        held, left: (N, 3), (N,) the backup of the slot before, and that of this one afterwards.
+        acted: (N,) set to whether the command was changed.
+    """
+    shield_rows(world, plain(q), plain(v), a, stop, held, left, acted)

@@ -1,0 +1,85 @@
+"""The scene constants that the rules of flight read, stacked over simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjcollect.geometry.boxes import EMPTY_BOX
+from mjcollect.geometry.compiled import Array, compiled
+from mjcollect.scene.scene import Scene
+
+
+class World(NamedTuple):
+    """Scene constants stacked over simulations. The leading axis is N, or 1 where all share one.
+
+    Attributes:
+        bounds: (N, 2, 3) m. boxes: (N, M, 2, 3) m, padded with boxes infinitely far away.
+        v_max, a_max, radius: (N, 1) in m/s, m/s^2, m.
+        slot, step: seconds of a slot and of a physics step, the same for all simulations.
+        substeps: physics steps in a slot, n.
+    """
+
+    bounds: Array
+    boxes: Array
+    v_max: Array
+    a_max: Array
+    radius: Array
+    slot: float
+    step: float
+    substeps: int
+
+    @classmethod
+    def stack(cls, scenes: Sequence[Scene]) -> World:
+        """Stack one scene per simulation, or a single one shared by all.
+
+        Raises:
+            ValueError: scenes disagree on `slot` or `physics_step`.
+        """
+        first = scenes[0]
+        for scene in scenes:
+            if (scene.slot, scene.physics_step) != (first.slot, first.physics_step):
+                raise ValueError(
+                    f"scenes {first.name!r}, {scene.name!r}: slot {first.slot} and {scene.slot}, "
+                    f"physics_step {first.physics_step} and {scene.physics_step}: simulations that "
+                    "run side by side need the same slot and physics step"
+                )
+        most = max(len(scene.obstacles) for scene in scenes)
+        boxes = np.broadcast_to(EMPTY_BOX, (len(scenes), max(most, 1), 2, 3)).copy()
+        for index, scene in enumerate(scenes):
+            boxes[index, : len(scene.obstacles)] = scene.obstacles
+
+        def column(field: str) -> Array:
+            return np.array([[getattr(scene, field)] for scene in scenes])
+
+        return cls(
+            bounds=np.stack([scene.bounds for scene in scenes]),
+            boxes=boxes,
+            v_max=column("v_max"),
+            a_max=column("a_max"),
+            radius=column("uav_radius"),
+            slot=first.slot,
+            step=first.physics_step,
+            substeps=first.substeps,
+        )
+
+    def rows(self, which: NDArray[np.intp]) -> World:
+        """The constants of the simulations `which` (n,) only."""
+        if len(self.bounds) == 1:
+            return self
+        return self._replace(
+            bounds=self.bounds[which],
+            boxes=self.boxes[which],
+            v_max=self.v_max[which],
+            a_max=self.a_max[which],
+            radius=self.radius[which],
+        )
+
+
+@compiled
+def scene_of(world: World, i: int) -> int:
+    """Index of simulation i's scene in the world."""
+    return i if len(world.bounds) > 1 else 0

@@ -1,0 +1,188 @@
+"""Distances between points, segments and axis-aligned boxes.
+
+Boxes are arrays (..., 2, 3): minimum corner, maximum corner, in metres. A padding box lies `FAR`
+away from everything, see `EMPTY_BOX`. What is compiled works on one row; the functions below it are
+vectorised over leading axes.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjcollect.geometry.compiled import Array, Bools, compiled, plain, rows
+from mjcollect.geometry.vectors import norm
+
+FAR = 1e9  # metres; where padding boxes are put: finite, so that no inf - inf appears
+EMPTY_BOX = np.full((2, 3), FAR)
+
+
+@compiled
+def box_offset(point: Array, box: Array, offset: Array) -> float:
+    """Distance to a box; `offset` becomes the vector to its nearest point."""
+    for k in range(3):
+        offset[k] = min(max(point[k], box[0, k]), box[1, k]) - point[k]
+    return norm(offset)
+
+
+@compiled
+def slab(start: Array, step: Array, box: Array, grow: float, tiny: float) -> tuple[float, float]:
+    """Where the line start + t step enters and leaves a box grown by `grow`: enter > leave if not.
+
+    Components of `step` smaller than `tiny` count as `tiny`.
+    """
+    enter, leave = -np.inf, np.inf
+    for k in range(3):
+        along = step[k] if abs(step[k]) >= tiny else tiny
+        one = (box[0, k] - grow - start[k]) / along
+        two = (box[1, k] + grow - start[k]) / along
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return enter, leave
+
+
+@compiled
+def box_slope(start: Array, end: Array, box: Array, t: float) -> float:
+    """Half the derivative by t of the squared distance of start + t (end - start) to a box."""
+    slope = 0.0
+    for k in range(3):
+        at = start[k] + t * (end[k] - start[k])
+        slope += (at - min(max(at, box[0, k]), box[1, k])) * (end[k] - start[k])
+    return slope
+
+
+@compiled
+def segment_gap(start: Array, end: Array, box: Array) -> float:
+    """Exact distance between a segment and a box.
+
+    The squared distance is convex and its derivative linear between the faces' planes: it changes
+    sign between the last plane with a falling slope and the first with a rising one.
+    """
+    left, right = 0.0, 1.0
+    falling, rising = box_slope(start, end, box, left), box_slope(start, end, box, right)
+    if falling >= 0.0:
+        nearest = left
+    elif rising <= 0.0:
+        nearest = right
+    else:
+        for k in range(3):
+            for side in range(2):
+                step = end[k] - start[k]
+                t = (box[side, k] - start[k]) / step if step != 0.0 else 0.0
+                if left < t < right:
+                    slope = box_slope(start, end, box, t)
+                    if slope < 0.0:
+                        left, falling = t, slope
+                    else:
+                        right, rising = t, slope
+        nearest = left + falling / (falling - rising) * (right - left)
+    square = 0.0
+    for k in range(3):
+        at = start[k] + nearest * (end[k] - start[k])
+        square += (at - min(max(at, box[0, k]), box[1, k])) ** 2
+    return math.sqrt(square)
+
+
+@compiled
+def segment_gaps(start: Array, end: Array, boxes: Array, gap: Array) -> None:
+    """`segment_gap` of each of (n,) pairs of a segment and a box."""
+    for i in range(len(start)):
+        gap[i] = segment_gap(start[i], end[i], boxes[i])
+
+
+@compiled
+def segments_clear(start: Array, end: Array, boxes: Array, radius: float, clear: Bools) -> None:
+    """Whether (n,) segments keep `radius` from all of the boxes (M, 2, 3)."""
+    for i in range(len(start)):
+        clear[i] = True
+        for b in range(len(boxes)):
+            if segment_gap(start[i], end[i], boxes[b]) < radius:
+                clear[i] = False
+                break
+
+
+@compiled
+def in_sight(boxes: Array, q: Array, offset: Array) -> bool:
+    """Whether the straight line to the point `offset` away misses every box (M, 2, 3)."""
+    for b in range(len(boxes)):
+        enter, leave = slab(q, offset, boxes[b], 0.0, 1e-12)
+        if enter <= leave and leave >= 0.0 and enter <= 1.0:
+            return False
+    return True
+
+
+@compiled
+def free_way(boxes: Array, grow: float, q: Array, direction: Array) -> float:
+    """Metres along `direction` to the first box grown by `grow`; from inside one, it is free."""
+    free = 1e6
+    for b in range(len(boxes)):
+        enter, leave = slab(q, direction, boxes[b], grow, 1e-9)
+        if 0.0 <= enter <= leave:
+            free = min(free, enter)
+    return free
+
+
+def nearest_point_offset(points: Array, boxes: Array) -> Array:
+    """Vector from each point to the nearest point of each box; zero inside.
+
+    Args:
+        points: (..., 3). boxes: broadcastable (..., 2, 3).
+
+    Returns:
+        (..., 3) offsets in metres.
+    """
+    low, high = boxes[..., 0, :], boxes[..., 1, :]
+    return np.clip(points, low, high) - points
+
+
+def point_box_distance(points: Array, boxes: Array) -> Array:
+    """Euclidean distance from points (..., 3) to boxes (..., 2, 3); zero inside. Shape (...)."""
+    return np.asarray(np.linalg.norm(nearest_point_offset(points, boxes), axis=-1))
+
+
+def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
+    """Exact distance between segments and boxes; zero where they meet.
+
+    Args:
+        start, end: (..., 3). boxes: broadcastable (..., 2, 3).
+
+    Returns:
+        (...) distances in metres.
+    """
+    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1], boxes.shape[:-2])
+    gap = np.empty(shape)
+    segment_gaps(
+        rows(start, shape, (3,)),
+        rows(end, shape, (3,)),
+        rows(boxes, shape, (2, 3)),
+        gap.reshape(-1),
+    )
+    return gap
+
+
+def inflate(boxes: Array, margin: float | Array) -> Array:
+    """Boxes (..., 2, 3) grown by `margin` metres on every side."""
+    grow = np.asarray(margin, dtype=np.float64)[..., None]
+    return np.stack([boxes[..., 0, :] - grow, boxes[..., 1, :] + grow], axis=-2)
+
+
+def segment_clear(start: Array, end: Array, boxes: Array, radius: float) -> NDArray[np.bool_]:
+    """Whether a body of `radius` metres flies each straight segment without touching any box.
+
+    Args:
+        start, end: (..., 3). boxes: (M, 2, 3).
+
+    Returns:
+        (...) booleans.
+    """
+    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1])
+    clear = np.empty(shape, dtype=bool)
+    segments_clear(
+        rows(start, shape, (3,)),
+        rows(end, shape, (3,)),
+        plain(boxes),
+        float(radius),
+        clear.reshape(-1),
+    )
+    return clear

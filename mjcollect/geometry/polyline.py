@@ -1,0 +1,82 @@
+"""Polylines: lengths and places along them, and pulling them tight round boxes."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.compiled import Array
+
+
+def marks(path: Array) -> Array:
+    """Metres along a polyline (P, 3) to each of its points, (P,)."""
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(length)])
+
+
+def interpolate(points: Array, at_points: Array, at: float | Array) -> Array:
+    """Points (..., 3) at `at` (...) on a polyline (P, 3) whose points are at `at_points` (P,)."""
+    return np.stack([np.interp(at, at_points, points[:, axis]) for axis in range(3)], axis=-1)
+
+
+def point_along(path: Array, metres: float | Array) -> Array:
+    """Points (..., 3) at `metres` (...) along a polyline (P, 3), which ends where it ends."""
+    return interpolate(path, marks(path), metres)
+
+
+def path_length(points: Array) -> float:
+    """Length in metres of a polyline (P, 3)."""
+    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Array:
+    """Shorten a free polyline (P, 3) while it keeps `radius` from every box. (P', 3).
+
+    Pieces that come closer than that stay as they are.
+    """
+    points = _skip(points, boxes, radius)
+    if len(points) == 2:
+        return points
+    # Split the pieces so that corners can slide along edges, then pull every inner point towards
+    # the line through its neighbours as far as both pieces stay clear.
+    points = _split(points)
+    for _ in range(rounds):
+        before = points.copy()
+        for i in range(1, len(points) - 1):
+            points[i] = _pulled(points[i - 1], points[i], points[i + 1], boxes, radius)
+        if np.max(np.abs(points - before)) < 1e-3:
+            break
+    return _skip(points, boxes, radius)
+
+
+def _skip(points: Array, boxes: Array, radius: float) -> Array:
+    """Drop the points between each kept one and the farthest that it sees."""
+    kept = [0]
+    while kept[-1] < len(points) - 1:
+        ahead = np.arange(kept[-1] + 1, len(points))
+        clear = segment_clear(points[kept[-1]], points[ahead], boxes, radius)
+        clear[0] = True
+        kept.append(int(ahead[np.flatnonzero(clear)[-1]]))
+    return points[kept]
+
+
+def _split(points: Array) -> Array:
+    parts = [points[:1]]
+    for a, b in itertools.pairwise(points):
+        share = np.linspace(0.0, 1.0, 3)[1:, None]
+        parts.append(a + share * (b - a))
+    return np.concatenate(parts)
+
+
+def _pulled(before: Array, point: Array, after: Array, boxes: Array, radius: float) -> Array:
+    chord = after - before
+    share = np.clip(np.dot(point - before, chord) / max(np.dot(chord, chord), 1e-12), 0.0, 1.0)
+    foot = before + share * chord
+    steps = np.linspace(1.0, 0.0, 17)[:, None]
+    candidates = point + steps * (foot - point)
+    clear = segment_clear(before, candidates, boxes, radius)
+    clear &= segment_clear(candidates, after, boxes, radius)
+    clear[-1] = True
+    return np.asarray(candidates[int(np.argmax(clear))])

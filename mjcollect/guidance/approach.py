@@ -1,0 +1,172 @@
+"""How each simulation stands towards its target."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjcollect.flight.straight_line import TIME_CAP, time_to_go
+from mjcollect.flight.world import World, scene_of
+from mjcollect.geometry.compiled import Array, Bools, Indices, compiled
+from mjcollect.geometry.vectors import dot, norm, unit
+from mjcollect.guidance.stopping import chord
+from mjcollect.guidance.way import Way, query_row
+
+LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How each simulation stands towards its target.
+
+    Attributes:
+        offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
+        direction: (N, 3) unit vectors of that path. closing: (N,) speed along `heading`.
+        speed: (N,) m/s.
+        returning: (N,) whether the target is the depot.
+        ahead: (N, A, 3) from the body to points farther along the path.
+        near, far: (N,) metres along the path to where it enters the goal's ball and leaves it.
+        heading: (N, 3) unit vector along which near, far and closing are told: `direction`, or the
+            velocity's where that leads straight into the ball.
+        after: (N, 3) unit vector from the target to the tour's next; zero where the tour ends.
+        frame: (N, 3, 3) axes of the path: along `heading`, level to its left, and upwards.
+        onward: (N,) metres by which the tour's next target is farther from the body than from the
+            current target; 0 where the tour ends.
+    """
+
+    offset: Array
+    distance: Array
+    direction: Array
+    closing: Array
+    speed: Array
+    returning: Bools
+    ahead: Array
+    near: Array
+    far: Array
+    heading: Array
+    after: Array
+    frame: Array
+    onward: Array
+
+    def time_to_go(self, world: World) -> Array:
+        """Least time (N,) in s to come to rest in the goal's ball, on a line along the path."""
+        middle, half = (self.near + self.far) / 2, (self.far - self.near) / 2
+        along = time_to_go(world, middle, self.closing, half)
+        return np.maximum(along, np.minimum(self.speed / world.a_max[..., 0], TIME_CAP))
+
+
+TURN = 0.1  # radians by which a heading is still turned at hardly any loss of time
+STEEP = 0.05  # share of a path that is level, below which its frame keeps to the x axis
+
+
+@compiled
+def stretch_row(way: Way, goal: Array, radius: float, left: float) -> tuple[float, float]:
+    """Metres along the path to where its last piece enters the goal's ball, and leaves it."""
+    last, towards = len(way.points) - 1, np.empty(3)
+    if last == 0:
+        return max(left - radius, 0.0), left + radius
+    for k in range(3):
+        towards[k] = way.points[last, k] - way.points[last - 1, k]
+    whole = unit(towards, towards)
+    middle, half = chord(goal, radius, way.points[last - 1], towards)
+    half = max(half, 0.0)
+    return max(left - whole + middle - half, 0.0), max(left - whole + middle + half, 0.0)
+
+
+@compiled
+def aim_row(
+    goal: Array, radius: float, change: float, braking: float, q: Array, v: Array, heading: Array
+) -> tuple[float, float]:
+    """Bend `heading` towards where the velocity leads into the goal's ball, or passes it.
+
+    Far away that is the heading; close by, where no turn is worth its while, the velocity's own
+    direction. Continuous in q and v, so that the time to go is. Metres to where the heading enters
+    the ball and to where it leaves it.
+
+    Args:
+        goal: (3,), in sight. radius: of its ball, in m. change: m/s in a slot. heading: (3,) unit
+            vector of the path.
+    """
+    offset, mine, aside = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(3):
+        offset[k] = goal[k] - q[k]
+    speed = unit(v, mine)
+    ahead, along = max(dot(offset, mine), braking), max(dot(offset, heading), 0.0)
+    for k in range(3):  # from where the path passes the goal to where the velocity does, or ends
+        aside[k] = mine[k] * ahead - heading[k] * along
+    apart = norm(aside)
+    share = max(apart - TURN * ahead, 0.0) / max(apart, 1e-9) * min(speed / change, 1.0)
+    square = 0.0
+    for k in range(3):
+        aside[k] = aside[k] * share + heading[k] * along - offset[k]  # from the goal
+        square += aside[k] ** 2
+    inside = min(radius / max(math.sqrt(square), 1e-9), 1.0)
+    for k in range(3):
+        aside[k] = offset[k] + aside[k] * inside
+    if norm(aside) > 1e-6:
+        unit(aside, heading)
+    middle, half = chord(goal, radius, q, heading)
+    half = max(half, 0.0)
+    return max(middle - half, 0.0), max(middle + half, 0.0)
+
+
+@compiled
+def approach_rows(
+    world: World, way: Way, which: Indices, goal: Array, radius: float,
+    strides: Array, q: Array, v: Array, offset: Array, distance: Array, direction: Array,
+    closing: Array, near: Array, far: Array, ahead: Array, heading: Array,
+) -> None:  # fmt: skip
+    """How the simulations `which` stand towards a goal (3,) with a ball, see `reward.Approach`.
+
+    The points `ahead`, `strides` metres from one to the next, show bends before they are reached.
+    """
+    point, towards = np.empty(3), np.empty(3)
+    for i in which:
+        w = scene_of(world, i)
+        left, chosen = query_row(way, q[i], direction[i])
+        distance[i] = left
+        heading[i] = direction[i]
+        if chosen == len(way.points) - 1:
+            change, speed = world.a_max[w, 0] * world.slot, norm(v[i])
+            braking = speed**2 / (2 * world.a_max[w, 0])
+            near[i], far[i] = aim_row(goal, radius, change, braking, q[i], v[i], heading[i])
+        else:
+            near[i], far[i] = stretch_row(way, goal, radius, left)
+        closing[i] = dot(v[i], heading[i])
+        for k in range(3):
+            offset[i, k] = goal[k] - q[i, k]
+            point[k], towards[k] = q[i, k], direction[i, k]
+        for a in range(len(strides)):
+            if a > 0:
+                left, _ = query_row(way, point, towards)
+            for k in range(3):
+                point[k] += towards[k] * min(strides[a], left)
+                ahead[i, a, k] = point[k] - q[i, k]
+
+
+@compiled
+def frame_row(direction: Array, frame: Array) -> None:
+    """Axes (3, 3) of a path: along it, level to its left, and upwards from both."""
+    x, y = direction[0], direction[1]
+    level = math.sqrt(x * x + y * y)
+    if level < STEEP:
+        x, y, level = 1.0, 0.0, 1.0
+    frame[0] = direction
+    # Where the path is steep, x is not along it: what of `left` is along the path goes.
+    left = np.array([-y / level, x / level, 0.0])
+    along = dot(left, direction)
+    for k in range(3):
+        left[k] -= along * direction[k]
+    unit(left, frame[1])
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        frame[2, k] = direction[i] * frame[1, j] - direction[j] * frame[1, i]
+
+
+@compiled
+def frame_rows(direction: Array, frame: Array) -> None:
+    """`frame_row` of each (N, 3)."""
+    for i in range(len(direction)):
+        frame_row(direction[i], frame[i])

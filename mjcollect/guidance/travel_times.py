@@ -1,0 +1,51 @@
+"""Obstacle-aware cost between nodes: the least time along the shortest free path."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.polyline import path_length, tighten
+from mjcollect.guidance.aim import feasible_aim
+from mjcollect.guidance.distance_field import DistanceField, way_down
+from mjcollect.guidance.guidance import COARSE, Guidance
+from mjcollect.scene.bounds import leg_time
+from mjcollect.scene.order import distances
+from mjcollect.scene.scene import Scene
+
+
+def travel_times(scene: Scene) -> Array:
+    """Symmetric (K + 1, K + 1) seconds between nodes, depot first, for `tour.plan_order`.
+
+    Stops anywhere in a node's ball count: epsilon is taken off at each item's end. One distance
+    field is marched per node with a blocked neighbour; a pair that its grid does not join gets
+    the finer field of `Guidance`.
+
+    Raises:
+        GuidanceError: two nodes are not joined on the finest grid.
+    """
+    nodes = [-1, *range(len(scene.items))]
+    points = np.array([scene.point(node) for node in nodes])
+    length = distances(scene)
+    clear = segment_clear(points[:, None], points[None], scene.obstacles, scene.uav_radius)
+    for to in range(1, len(nodes)):
+        blocked = np.flatnonzero(~clear[:to, to])
+        if len(blocked) == 0:
+            continue
+        aim = feasible_aim(scene, points[to], scene.tolerance(nodes[to]))
+        field = DistanceField(scene, aim, COARSE, crowding=0.0)
+        for frm in blocked:
+            if field.entry(points[frm]) is None:
+                way = Guidance(scene, nodes[to], points[frm]).length
+            else:
+                tight = tighten(
+                    way_down(field, scene, points[frm], aim), scene.obstacles, scene.uav_radius
+                )
+                way = path_length(tight)
+            length[frm, to] = length[to, frm] = way
+    taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])
+    free = np.maximum(length - taken[:, None] - taken[None], 0.0)
+    cost = np.array(leg_time(free, scene.v_max, scene.a_max))
+    np.fill_diagonal(cost, 0.0)
+    return cost

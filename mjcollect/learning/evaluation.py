@@ -1,0 +1,156 @@
+"""Flying a policy without noise from many starts, and the named random streams of a seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.flight.disturbance import Disturbances
+from mjcollect.flight.straight_line import time_to_go
+from mjcollect.flight.world import World
+from mjcollect.guidance.guidance import Guidance
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.random_streams import stream
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A policy flown without noise from many starts.
+
+    Attributes:
+        success_rate: share of the starts from which it arrived.
+        point_rate: share of the courses on which it arrived from the start point itself.
+        point_time: seconds in which it did so, on average; NaN if it never did.
+        mean_time: over the arrivals, in seconds; NaN if there were none.
+        mean_cost: the same with what the places of the stops cost on the next leg.
+        mean_return: undiscounted return over all starts.
+        failure_seconds: that a start without arrival counts for in ranking; infinite: one more
+            arrival is better, however late.
+        shield_share: share of all slots flown in which the shield changed the command.
+    """
+
+    success_rate: float
+    point_rate: float
+    point_time: float
+    mean_time: float
+    mean_cost: float
+    mean_return: float
+    failure_seconds: float = math.inf
+    shield_share: float = 0.0
+
+    @property
+    def rank(self) -> tuple[float, ...]:
+        """Larger is better: arrive from the point, from everywhere, then sooner."""
+        cost = self.mean_cost if math.isfinite(self.mean_cost) else math.inf
+        if math.isfinite(self.failure_seconds):
+            return (self.point_rate, -cost - self.failure_seconds * (1.0 - self.success_rate))
+        return (self.point_rate, self.success_rate, -cost)
+
+
+class Evaluator:
+    """Flies policies from the same starts, and through the same disturbances, every time."""
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        config: LearnConfig,
+        seed: int,
+        disturbances: Disturbances | None = None,
+        failure_seconds: float = math.inf,
+    ) -> None:
+        """Draw the starts on every course, of one leg each, from the stream `evaluate`.
+
+        Args:
+            disturbances: of len(courses) * config.eval_episodes simulations, course by course.
+            failure_seconds: see `Evaluation`.
+        """
+        self._failure_seconds = failure_seconds
+        rng, each = np.random.default_rng(stream(seed, "evaluate")), config.eval_episodes
+        self.sims = Simulations(
+            [courses[0]] if len(courses) == 1 else [c for c in courses for _ in range(each)],
+            len(courses) * each,
+            rules=config.rules,
+            threads=config.threads,
+            disturbances=disturbances,
+        )
+        self._fresh = None if disturbances is None else disturbances.state_dict()
+        starts = [
+            course.starts(*kind, rng)
+            for course in courses
+            for kind in (("point", 1), ("ball", each - 1))
+        ]
+        self._q, self._v = (np.concatenate(part) for part in zip(*starts, strict=True))
+        self._points = np.arange(0, len(self._q), each)
+        self.least = float(
+            np.mean(
+                [
+                    _least_time(c, self._q[k : k + each])
+                    for c, k in zip(courses, self._points, strict=True)
+                ]
+            )
+        )
+
+    def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
+        """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""
+        sims, count = self.sims, len(self._q)
+        if self._fresh is not None:
+            assert sims.episodes.disturbances is not None
+            sims.episodes.disturbances.load_state_dict(self._fresh)
+        sims.place(np.arange(count), self._q, self._v)
+        running = np.ones(count, dtype=bool)
+        success, slots, total = np.zeros(count, bool), np.zeros(count), np.zeros(count)
+        onward, shielded = np.zeros(count), 0
+        while running.any():
+            outcome = sims.step(policy(sims.observe().astype(np.float32)))
+            total += np.where(running, outcome.reward, 0.0)
+            # Where a crash does not end the episode, an arrival after one is no success.
+            success |= running & outcome.success & ~sims.episodes.crashed
+            onward = np.where(running, sims.episodes.onward, onward)
+            slots += running
+            shielded += int((running & outcome.shielded).sum())
+            running &= ~(outcome.terminated | outcome.truncated)
+        time = slots * sims.episodes.world.slot
+        arrived = self._points[success[self._points]]
+        return Evaluation(
+            success_rate=float(success.mean()),
+            point_rate=len(arrived) / len(self._points),
+            point_time=float(time[arrived].mean()) if len(arrived) else math.nan,
+            mean_time=float(time[success].mean()) if success.any() else math.nan,
+            mean_cost=float((time + onward)[success].mean()) if success.any() else math.nan,
+            mean_return=float(total.mean()),
+            failure_seconds=self._failure_seconds,
+            shield_share=shielded / float(slots.sum()),
+        )
+
+    def law(self) -> Evaluation:
+        """Evaluate the guidance law."""
+        return self(lambda _: self.sims.law())
+
+    def close(self) -> None:
+        """Stop the simulations' threads."""
+        self.sims.close()
+
+
+def _least_time(course: Course, q: np.ndarray) -> float:
+    """Estimate of the least `Evaluation.mean_cost` in s from starts (n, 3) on a course's one leg.
+
+    Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
+    """
+    scene, guide = course.scene, course.guidance[0]
+    saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
+    return float(least_slots(guide, q).mean()) * scene.slot - saved
+
+
+def least_slots(guide: Guidance, q: np.ndarray) -> np.ndarray:
+    """Estimate (N,) of the least slots from rest at q (N, 3): along the way, into the ball."""
+    world = World.stack([guide.scene])
+    beside = float(np.linalg.norm(guide.aim - guide.goal))
+    distance, _ = guide.query(q)
+    distance = np.maximum(distance - max(guide.tolerance - beside, 0.0), 0.0)
+    time = time_to_go(world, distance, np.zeros(len(q)))
+    return np.asarray(np.ceil(time / world.slot - 1e-6))

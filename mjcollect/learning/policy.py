@@ -1,0 +1,174 @@
+"""Trained policies: a TorchRL actor, a plain NumPy one for single decisions, and their files."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import pickle
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import safetensors.torch
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
+from torch import nn
+from torchrl.modules import TanhModule
+
+from mjcollect.envs.observation import OBSERVATIONS
+from mjcollect.learning.networks import make_actor
+from mjcollect.scene.assets import asset_path
+
+SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
+# What reading a file that is no policy ends in.
+UNREADABLE = (
+    OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,
+    StopIteration, pickle.UnpicklingError, safetensors.SafetensorError,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrainedPolicy:
+    """An actor that acts without noise.
+
+    A single decision is made in plain NumPy, with the weights as they are at the first one: where
+    the actor goes on learning, make a new policy.
+
+    Attributes:
+        actor: TorchRL module, observation -> action. observation: name of the observation.
+    """
+
+    actor: TensorDictSequential
+    observation: str
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """Actions (N, 3) for observations (N, D) float32."""
+        if len(observation) == 1:
+            return self.plain(observation[0])[None]
+        device = next(self.actor.parameters()).device
+        step = TensorDict({"observation": torch.from_numpy(observation)}, len(observation))
+        with torch.no_grad():
+            return np.asarray(self.actor(step.to(device))["action"].cpu().numpy())
+
+    @cached_property
+    def plain(self) -> PlainActor:
+        """The actor for single observations."""
+        return PlainActor(self.actor)
+
+    @property
+    def inputs(self) -> int:
+        """Numbers in an observation."""
+        return next(self.actor.parameters()).shape[1]
+
+    @property
+    def width(self) -> int:
+        """Width of the hidden layers."""
+        return len(next(self.actor.parameters()))
+
+    def save(self, path: Path) -> None:
+        """Write policy.pt, or policy.safetensors: tensors and names, loaded without unpickling."""
+        weights = {
+            name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
+        }
+        if path.suffix == ".safetensors":
+            about = json.dumps({"observation": self.observation})
+            path.write_bytes(safetensors.torch.save(weights, {"policy": about}))
+            return
+        # Through memory: on a full disk torch.save itself raises no OSError.
+        buffer = io.BytesIO()
+        content = {"actor": weights, "observation": self.observation}
+        torch.save(content, buffer)
+        path.write_bytes(buffer.getvalue())
+
+    @classmethod
+    def load(cls, path: Path) -> TrainedPolicy:
+        """Read what `save` wrote."""
+        if path.suffix == ".safetensors":
+            with safetensors.safe_open(path, "pt") as file:
+                weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+                names = json.loads(file.metadata()["policy"])
+        else:
+            saved = torch.load(path, weights_only=True, map_location="cpu")
+            weights, names = saved["actor"], saved
+        first = next(value for name, value in weights.items() if name.endswith("0.weight"))
+        if names["observation"] not in OBSERVATIONS:
+            raise ValueError(f"observation: {names['observation']}: unknown")
+        actor = make_actor(first.shape[1], first.shape[0])
+        actor.load_state_dict(weights)
+        return cls(actor, names["observation"])
+
+
+def weights_file(path: Path) -> Path:
+    """The file of a policy; of the package's own for `SHIPPED`."""
+    return asset_path("policies", "generalist.safetensors") if path == SHIPPED else path
+
+
+def policy_digest(path: Path) -> str:
+    """What tells one file of weights, or `SHIPPED`, from another, wherever it lies."""
+    return hashlib.sha256(weights_file(path).read_bytes()).hexdigest()[:16]
+
+
+Float32 = NDArray[np.float32]
+
+
+@dataclass
+class _Hidden:
+    """ReLU(LayerNorm(weight x + bias)), or without the norm."""
+
+    weight: Float32  # (width, inputs)
+    bias: Float32
+    norm: tuple[Float32, Float32, np.float32] | None = None  # scale, shift, epsilon
+
+    def __call__(self, x: Float32) -> Float32:
+        x = self.weight @ x
+        x += self.bias
+        if self.norm is not None:  # the mean is zero: see `normalise`
+            scale, shift, epsilon = self.norm
+            x *= 1.0 / np.sqrt(x.dot(x) / np.float32(len(x)) + epsilon)
+            x *= scale
+            x += shift
+        return np.maximum(x, 0.0, out=x)
+
+    def normalise(self, norm: nn.LayerNorm) -> None:
+        """Add the norm; its mean is taken off weight and bias once instead of in every call."""
+        self.norm = _array(norm.weight), _array(norm.bias), np.float32(norm.eps)
+        self.weight = np.ascontiguousarray(self.weight - self.weight.mean(axis=0))
+        self.bias = self.bias - self.bias.mean()
+
+
+class PlainActor:
+    """What `ddpg.make_actor` made, as it was when this was built."""
+
+    def __init__(self, actor: nn.Module) -> None:
+        """Copy the weights of linear layers, each with LayerNorm and ReLU, and a last tanh.
+
+        Raises:
+            ValueError: the actor has other parts.
+        """
+        layers: list[_Hidden] = []
+        parts = [part for part in actor.modules() if not any(True for _ in part.children())]
+        for part in parts:
+            if isinstance(part, nn.Linear):
+                layers.append(_Hidden(_array(part.weight), _array(part.bias)))
+            elif isinstance(part, nn.LayerNorm) and layers:
+                layers[-1].normalise(part)
+            elif not isinstance(part, nn.ReLU | TanhModule):
+                raise ValueError(f"actor: {type(part).__name__}: has no plain form here")
+        if not layers or layers[-1].norm is not None or not isinstance(parts[-1], TanhModule):
+            raise ValueError("actor: must end with a linear layer and tanh")
+        self._hidden, self._last = layers[:-1], layers[-1]
+
+    def __call__(self, observation: Float32) -> Float32:
+        """Action (3,) for an observation (D,), both float32."""
+        x = observation
+        for layer in self._hidden:
+            x = layer(x)
+        return np.asarray(np.tanh(self._last.weight @ x + self._last.bias))
+
+
+def _array(parameter: torch.Tensor) -> Float32:
+    return np.array(parameter.detach().cpu().numpy(), dtype=np.float32)

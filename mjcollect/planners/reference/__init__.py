@@ -1,0 +1,5 @@
+"""The reference planner: the whole mission ahead, in the fewest slots."""
+
+from mjcollect.planners.reference.reference import NoFlight, Reference
+
+__all__ = ["NoFlight", "Reference"]

@@ -1,0 +1,69 @@
+"""Planes that keep the pieces of a planned path on the free side of the boxes beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjcollect.geometry.compiled import Array
+
+SIGHT = 40.0  # metres from a piece within which boxes get a plane
+_HALVINGS = 20  # of a piece, when its point nearest to a box is looked for
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Half-spaces normal . x >= offset, each free of one box, for one piece of a path each.
+
+    Attributes:
+        piece, box: (P,) indices of what it separates.
+        normal: (P, 3) unit vectors away from the box.
+        offset: (P,) m, where the box ends along the normal.
+        clearance: (P,) m between box and piece along the normal, negative where they overlap.
+    """
+
+    piece: NDArray[np.intp]
+    box: NDArray[np.intp]
+    normal: Array
+    offset: Array
+    clearance: Array
+
+
+def separate(path: Array, boxes: Array) -> Planes:
+    """Planes between the straight pieces of `path` (M + 1, 3) and near `boxes` (B, 2, 3).
+
+    The normal joins the nearest points of piece and box, so no other plane leaves both more room.
+    Where they meet it is that of the face with the shortest way out.
+    """
+    start, end = path[:-1, None], path[1:, None]
+    low, high = boxes[:, 0], boxes[:, 1]
+    gap = np.maximum(low - np.maximum(start, end), np.minimum(start, end) - high)
+    near = np.sum(np.maximum(gap, 0.0) ** 2, axis=-1) < SIGHT**2
+    piece, box = np.nonzero(near)
+    start, end = path[piece], path[piece + 1]
+    low, high = low[box], high[box]
+    point = _nearest_point(start, end, low, high)
+    normal = point - np.clip(point, low, high)
+    distance = np.linalg.norm(normal, axis=1)
+    normal = normal / np.maximum(distance, 1e-9)[:, None]
+    ways_out = np.concatenate([np.minimum(start, end) - high, low - np.maximum(start, end)], axis=1)
+    face = ways_out.argmax(axis=1)
+    outwards = np.concatenate([np.eye(3), -np.eye(3)])[face]
+    normal = np.where((distance < 1e-3)[:, None], outwards, normal)
+    offset = np.sum(np.where(normal > 0, high, low) * normal, axis=1)
+    lowest = np.minimum(np.sum(normal * start, axis=1), np.sum(normal * end, axis=1))
+    return Planes(piece, box, normal, offset, lowest - offset)
+
+
+def _nearest_point(start: Array, end: Array, low: Array, high: Array) -> Array:
+    """Point (P, 3) of each segment nearest to its box: its distance is convex along the segment."""
+    step = end - start
+    left, right = np.zeros((len(start), 1)), np.ones((len(start), 1))
+    for _ in range(_HALVINGS):
+        middle = (left + right) / 2
+        point = start + middle * step
+        rising = np.sum((point - np.clip(point, low, high)) * step, axis=1, keepdims=True) > 0
+        left, right = np.where(rising, left, middle), np.where(rising, middle, right)
+    return np.asarray(start + (left + right) / 2 * step)

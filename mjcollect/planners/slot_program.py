@@ -1,0 +1,215 @@
+"""The cone program of one plan: the slot dynamics, norm limits, half-spaces; solved by Clarabel.
+
+A second-order cone program keeps both norm limits exact. Clarabel was the fastest of the solvers
+measured on programs of flown missions: OSQP needs the cones cut into facets and is 50 times
+slower, SCS twice, ECOS about as fast but under the GPL and without a quadratic cost.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from mjcollect.geometry.compiled import Array
+from mjcollect.planners.cone_solver import Rows, minimise, norms, settings, within
+from mjcollect.planners.separating_planes import SIGHT, separate
+from mjcollect.scene.scene import Scene
+
+COMFORT = 0.5  # metres beyond the least clearance within which boxes cost
+PROXIMITY_COST = 1e-3  # metres of distance that a metre of comfort is worth, per slot
+ELASTIC_COST = 30.0  # the same where boxes may be overlapped for the time being
+EFFORT_COST = 1e-6  # metres of distance per (m/s^2)^2 and slot
+SHORT = 1e-5  # share of the limits kept in reserve: more than what the solver's tolerance takes
+HAIR = 1e-3  # metres kept from boxes beyond what is proven, for the same reason
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Optimal motion.
+
+    Attributes:
+        q, v: (M + 1, 3) at slot starts, the given state first; v ends with zeros.
+        slack: metres by which it comes nearer to boxes than is comfortable, at most.
+    """
+
+    q: Array
+    v: Array
+    slack: float
+
+
+class Program:
+    """Best motion of M slots that ends at rest, near a path that is given.
+
+    Variables: v_k, q_k at slot starts k = 0..M (q relative to q_0; v_0, q_0, v_M are fixed), one
+    slack for each slot, and the distance t of q_M from the point that pulls. A program's shape
+    changes with every plan, so nothing is kept between solves but the path: an interior point
+    method has no use for an old solution.
+
+    Attributes:
+        scene: whose limits and boxes hold.
+        statuses: how often Clarabel ended in which status.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Programs for flights in `scene`."""
+        self.scene = scene
+        self._settings = settings()
+        self.statuses: Counter[str] = Counter()
+
+    def solve(
+        self,
+        v: Array,
+        path: Array,
+        pull: Array,
+        ball: tuple[Array, float] | None = None,
+        elastic: bool = False,
+    ) -> Solution | None:
+        """Least distance of the last position from `pull` (3,); None without a solution.
+
+        Args:
+            v: (3,) present velocity. path: (M + 1, 3) positions at slot starts from the present
+                one on, M >= 2; every slot stays on its side of the boxes.
+            ball: centre (3,) and radius in metres within which the motion must end.
+            elastic: boxes may be overlapped, at a price: for a path that is only a first guess.
+        """
+        count, start = len(path) - 1, path[0]
+        # Columns of v_k and q_k (M + 1, 3), slack_k (M,) and t.
+        at_v = np.arange(3 * (count + 1)).reshape(-1, 3)
+        at_q, at_slack = at_v + at_v.size, 2 * at_v.size + np.arange(count)
+        at_t = 2 * at_v.size + count
+        rows = Rows()
+        self._dynamics(rows, at_q, at_v)
+        zero = rows.count
+        self._boxes(rows, at_q, at_slack, path, elastic)
+        self._bounds(rows, at_q, at_v, path)
+        rows.cones = [clarabel.ZeroConeT(zero), clarabel.NonnegativeConeT(rows.count - zero)]
+        self._limits(rows, at_v)
+        if ball is not None:
+            within(rows, at_q[-1], ball[0] - start, radius=ball[1])
+        within(rows, at_q[-1], pull - start, at_radius=at_t)
+
+        fixed = np.full(at_t + 1, np.nan)
+        fixed[at_v[0]], fixed[at_q[0]], fixed[at_v[-1]] = v, 0.0, 0.0
+        cost = np.zeros(at_t + 1)
+        cost[at_slack] = ELASTIC_COST if elastic else PROXIMITY_COST
+        cost[at_t] = 1.0
+        z = self._solve(rows, cost, fixed, at_v)
+        if z is None:
+            return None
+        slack = float(z[at_slack].max())
+        return Solution(np.concatenate([start[None], start + z[at_q[1:]]]), z[at_v], slack)
+
+    def _dynamics(self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
+        """q_{k+1} = q_k + slot v_k + a_k slot^2 (n + 1) / (2 n), a_k = (v_{k+1} - v_k) / slot."""
+        scene = self.scene
+        share = (scene.substeps + 1) / (2 * scene.substeps)
+        rows.add(
+            np.zeros(at_q[1:].size),
+            (at_q[1:].ravel(), 1.0),
+            (at_q[:-1].ravel(), -1.0),
+            (at_v[:-1].ravel(), -scene.slot * (1 - share)),
+            (at_v[1:].ravel(), -scene.slot * share),
+        )
+
+    def _boxes(
+        self,
+        rows: Rows,
+        at_q: NDArray[np.intp],
+        at_slack: NDArray[np.intp],
+        path: Array,
+        elastic: bool,
+    ) -> None:
+        """Both ends of every slot's piece on the free side of its planes.
+
+        Within a slot the motion is a parabola, which strays from the straight piece between its
+        ends by up to a_max slot^2 / 8.
+        """
+        scene = self.scene
+        planes = separate(path, scene.obstacles)
+        piece, normal = planes.piece, planes.normal
+        least = np.full(len(piece), scene.uav_radius + scene.a_max * scene.slot**2 / 8 + HAIR)
+        # The present position cannot be moved: the first slot keeps what clearance there is.
+        here = normal @ path[0] - planes.offset
+        first = piece == 0
+        least[first] = np.minimum(least, np.maximum(here - HAIR, scene.uav_radius))[first]
+        right = normal @ path[0] - planes.offset - least - COMFORT
+        later = ~first
+        rows.add(right, (at_q[piece + 1], -normal), (at_slack[piece], -1.0))
+        piece, normal, right = piece[later], normal[later], right[later]
+        rows.add(right, (at_q[piece], -normal), (at_slack[piece], -1.0))
+        rows.add(np.zeros(len(at_slack)), (at_slack, -1.0))
+        rows.add(np.full(len(at_slack), 1e4 if elastic else COMFORT), (at_slack, 1.0))
+
+    def _bounds(
+        self,
+        rows: Rows,
+        at_q: NDArray[np.intp],
+        at_v: NDArray[np.intp],
+        path: Array,
+    ) -> None:
+        """Inside the bounds at every instant, near walls only.
+
+        A slot's parabola lies in the triangle of its ends and the point where its tangents meet:
+        q_k + slot / 2 (v_k + a_k step / 2), step / 2 for the semi-implicit shift.
+        """
+        scene = self.scene
+        lag = scene.physics_step / 4
+        for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
+            piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT)
+            room = side * (wall - path[0])[axis]
+            rows.add(room - 1e-7, (at_q[piece + 1, axis], side))
+            rows.add(
+                room,
+                (at_q[piece, axis], side),
+                (at_v[piece, axis], side * (scene.slot / 2 - lag)),
+                (at_v[piece + 1, axis], side * lag),
+            )
+
+    def _limits(self, rows: Rows, at_v: NDArray[np.intp]) -> None:
+        """|v_{k+1} - v_k| <= a_max slot in every slot, |v_k| <= v_max at inner slot starts."""
+        scene = self.scene
+        norms(rows, scene.a_max * scene.slot * (1 - SHORT), (at_v[1:], 1.0), (at_v[:-1], -1.0))
+        norms(rows, scene.v_max * (1 - SHORT), (at_v[1:-1], 1.0))
+
+    def _solve(self, rows: Rows, cost: Array, fixed: Array, at_v: NDArray[np.intp]) -> Array | None:
+        """All variables, where `fixed` is not NaN as given there; None without a solution."""
+        given = ~np.isnan(fixed)
+        free = np.flatnonzero(~given)
+        place = np.full(len(fixed), -1)
+        place[free] = np.arange(len(free))
+        row, column = np.concatenate(rows.row), np.concatenate(rows.column)
+        value, right = np.concatenate(rows.value), np.concatenate(rows.right)
+        known = given[column]
+        right = right - np.bincount(
+            row[known], value[known] * fixed[column[known]], minlength=len(right)
+        )
+        row, column, value = row[~known], place[column[~known]], value[~known]
+        matrix = sparse.csc_matrix((value, (row, column)), shape=(len(right), len(free)))
+        # Effort: sum of |v_{k+1} - v_k|^2 / slot^2; of the fixed ends only v_0 is not zero.
+        weight = 2 * EFFORT_COST / self.scene.slot**2
+        inner = place[at_v[1:-1]]
+        cost = cost[free]
+        cost[inner[0]] -= weight * fixed[at_v[0]]
+        pairs = inner[:-1].ravel(), inner[1:].ravel()
+        values = [np.full(inner.size, 2 * weight), np.full(pairs[0].size, -weight)]
+        quadratic = sparse.csc_matrix(
+            (
+                np.concatenate(values),
+                (
+                    np.concatenate([inner.ravel(), pairs[0]]),
+                    np.concatenate([inner.ravel(), pairs[1]]),
+                ),
+            ),
+            shape=(len(free), len(free)),
+        )
+        best = minimise(quadratic, cost, matrix, right, rows.cones, self._settings, self.statuses)
+        if best is None:
+            return None
+        z = fixed.copy()
+        z[free] = best
+        return z

@@ -1,0 +1,42 @@
+"""`python -m mjcollect.render --run DIR` films a finished run."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+from mjcollect.render.video import RenderError, _gl_environment, render_run
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line; see the module's docstring. Returns 0, 1 (no GL or ffmpeg, bad run) or 130."""
+    parser = argparse.ArgumentParser(prog="python -m mjcollect.render", description=__doc__)
+    parser.add_argument(
+        "--run", required=True, metavar="DIR", help="a segment's or mission's folder"
+    )
+    parser.add_argument(
+        "--samples",
+        type=int,
+        default=0,
+        choices=(0, 2, 4, 8),
+        help="multisampling: 4 smooths edges",
+    )
+    arguments = parser.parse_args(argv)
+    os.environ.update(_gl_environment(os.environ))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed
+    try:
+        path = render_run(arguments.run, samples=arguments.samples, show_progress=True)
+    except RenderError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,196 @@
+"""Cameras: a pinhole view, one that frames a box, and a chase camera that stays out of boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, minimum_filter1d
+
+from mjcollect.geometry.boxes import nearest_point_offset
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.scene import Scene
+
+Picture = NDArray[np.uint8]  # (H, W, 3)
+# What the chase camera may do when a box is in the way, relative to straight behind, in degrees.
+SWING = np.array([0.0, -35.0, 35.0, -70.0, 70.0, -110.0, 110.0])
+RAISE = np.array([0.0, 20.0, 40.0, 58.0, -30.0])
+BEHIND_ELEVATION = 17.0
+KEYFRAME = 0.2  # s of video between the chase camera's decisions
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole camera without roll.
+
+    Attributes:
+        eye, target: (3,) where it is and what it looks at, in metres.
+        fovy: vertical field of view in degrees.
+        size: width and height in pixels.
+    """
+
+    eye: Array
+    target: Array
+    fovy: float
+    size: tuple[int, int]
+
+    @property
+    def axes(self) -> Array:
+        """(3, 3): right, up and forward unit vectors."""
+        forward = self.target - self.eye
+        forward = forward / np.linalg.norm(forward)
+        right = np.array([forward[1], -forward[0], 0.0])
+        length = np.linalg.norm(right)
+        right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+        return np.stack([right, np.cross(right, forward), forward])
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixels (..., 2), x right and y down, and depth (...) in metres; behind if negative."""
+        right, up, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
+        width, height = self.size
+        focal = height / 2 / np.tan(np.radians(self.fovy) / 2)
+        scale = focal / np.where(np.abs(depth) < 1e-9, 1e-9, depth)
+        return np.stack([width / 2 + right * scale, height / 2 - up * scale], axis=-1), depth
+
+
+def framing(
+    bounds: Array, direction: Array, fovy: float, size: tuple[int, int], fill: float = 0.94
+) -> View:
+    """The nearest view of a box (2, 3) along `direction` (3,) that shows all of it.
+
+    Args:
+        bounds: what to frame. direction: from the camera to the box.
+        fovy: vertical field of view in degrees. size: pixels, width and height.
+        fill: the share of the picture's width and height that the box may take.
+    """
+    centre = bounds.mean(axis=0)
+    unit = direction / np.linalg.norm(direction)
+    corners = np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3) - centre
+    right, up, forward = View(centre - unit, centre, fovy, size).axes @ corners.T
+    tangent = np.tan(np.radians(fovy) / 2) * fill
+    aspect = size[0] / size[1]
+    back = np.maximum(np.abs(right) / (tangent * aspect), np.abs(up) / tangent) - forward
+    return View(centre - unit * back.max(), centre, fovy, size)
+
+
+def clear_distance(start: Array, direction: Array, boxes: Array, margin: float) -> Array:
+    """How far one can go from `start` before coming within `margin` of a box; inf if never.
+
+    A box that is already nearer than the margin counts with nine tenths of its distance instead,
+    so that one can always move away from it; a box around the start is ignored.
+
+    Args:
+        start, direction: (..., 3), directions of unit length. boxes: (M, 2, 3).
+
+    Returns:
+        (...) metres.
+    """
+    if len(boxes) == 0:
+        return np.full(np.broadcast_shapes(start.shape, direction.shape)[:-1], np.inf)
+    start, direction = start[..., None, :], direction[..., None, :]
+    # Along the axes, as the grown box has sharp corners.
+    gap = np.abs(nearest_point_offset(start, boxes)).max(axis=-1)
+    grow = np.minimum(margin, 0.9 * gap)[..., None]
+    step = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    one = (boxes[:, 0] - grow - start) / step
+    two = (boxes[:, 1] + grow - start) / step
+    enter = np.minimum(one, two).max(axis=-1)
+    leave = np.maximum(one, two).min(axis=-1)
+    hit = (enter <= leave) & (enter >= 0.0) & (gap > 0.0)
+    return np.asarray(np.where(hit, enter, np.inf).min(axis=-1))
+
+
+def chase_eyes(
+    scene: Scene, x: Array, v: Array, goal: Array, fps: float, distance: float
+) -> tuple[Array, Array]:
+    """A camera that follows smoothly, behind and above, and never enters a box.
+
+    The whole flight is known, so that filters look both ways and nothing lags. Per keyframe a
+    direction is chosen among swings and raises (least total cost by dynamic programming); the
+    boom along the smoothed direction is then shortened to what is clear.
+
+    Args:
+        scene: its boxes are avoided.
+        x, v: (F, 3) position and velocity per video frame. goal: (F, 3) what it flies to.
+        fps: frames per second of video. distance: length of the boom in metres.
+
+    Returns:
+        (F, 3) eyes and (F,) headings in radians.
+    """
+    heading, elevation = _behind(scene, x, v, goal, fps)
+    stride = max(1, round(KEYFRAME * fps))
+    keys = np.arange(0, len(x), stride)
+    swing, lift = _choose(scene, x[keys], heading[keys], elevation[keys], distance)
+    frames = np.arange(len(x))
+    sigma = 0.35 * fps
+    azimuth = heading + np.pi + _smooth(np.interp(frames, keys, swing), sigma)
+    tilt = _smooth(np.clip(elevation + np.interp(frames, keys, lift), *_tilt_range()), sigma)
+    direction = _unit(azimuth, tilt)
+    reach = np.minimum(clear_distance(x, direction, scene.obstacles, _margin(scene)), distance)
+    # A mean of window minima never exceeds the value in the window's centre.
+    half = max(1, round(0.4 * fps))
+    shortest = minimum_filter1d(reach, 2 * half + 1, mode="nearest")
+    reach = gaussian_filter1d(shortest, half / 3, mode="nearest", radius=half)
+    return x + reach[:, None] * direction, heading
+
+
+def _behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[Array, Array]:
+    """Smooth heading (F,) and the elevation (F,) of a camera straight behind, in radians."""
+    ahead = goal - x
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    # At low speed look towards the goal: the direction of a vanishing velocity means nothing.
+    course = v + 0.12 * scene.v_max * ahead / np.maximum(length, scene.epsilon)
+    sideways = np.hypot(course[:, 0], course[:, 1])
+    angle = np.arctan2(course[:, 1], course[:, 0])
+    known = np.flatnonzero(sideways > 1e-3 * scene.v_max)
+    if len(known):
+        angle = angle[known[np.abs(np.arange(len(x))[:, None] - known).argmin(axis=1)]]
+    heading = _smooth(np.unwrap(angle), 0.5 * fps)
+    climb = np.arctan2(course[:, 2], np.maximum(sideways, 1e-9))
+    tilt = np.radians(BEHIND_ELEVATION) - 0.6 * _smooth(climb, 0.6 * fps)
+    return heading, np.clip(tilt, *_tilt_range())
+
+
+def _choose(
+    scene: Scene, x: Array, heading: Array, elevation: Array, distance: float
+) -> tuple[Array, Array]:
+    """Swing and raise (keys,) in radians of least total cost."""
+    swing, lift = (grid.ravel() for grid in np.meshgrid(np.radians(SWING), np.radians(RAISE)))
+    tilt = np.clip(elevation[:, None] + lift, *_tilt_range())
+    direction = _unit(heading[:, None] + np.pi + swing, tilt)
+    clear = clear_distance(x[:, None, :], direction, scene.obstacles, _margin(scene))
+    # Clipped tilts that would look up through the ground are as bad as a box.
+    below = x[:, None, 2] + distance * direction[..., 2] < scene.bounds[0, 2] + 1.0
+    short = 1.0 - np.minimum(clear / distance, 1.0)
+    own = (
+        (swing / 0.7) ** 2 + (lift / 0.5) ** 2 + 12.0 * short**2 + 30.0 * (short > 0.8) + 4 * below
+    )
+    change = (np.subtract.outer(swing, swing) ** 2 + np.subtract.outer(lift, lift) ** 2) / 0.15
+    total, back = own[0], np.zeros(own.shape, dtype=int)
+    for key in range(1, len(x)):
+        path = total[:, None] + change
+        back[key] = path.argmin(axis=0)
+        total = path.min(axis=0) + own[key]
+    best = np.empty(len(x), dtype=int)
+    best[-1] = total.argmin()
+    for key in range(len(x) - 1, 0, -1):
+        best[key - 1] = back[key, best[key]]
+    return swing[best], lift[best]
+
+
+def _margin(scene: Scene) -> float:
+    return 0.9 * scene.uav_radius
+
+
+def _tilt_range() -> tuple[float, float]:
+    return np.radians(-25.0), np.radians(78.0)
+
+
+def _unit(azimuth: Array, elevation: Array) -> Array:
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+def _smooth(values: Array, sigma: float) -> Array:
+    return np.asarray(gaussian_filter1d(values, sigma, mode="nearest"))

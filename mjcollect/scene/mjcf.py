@@ -1,0 +1,197 @@
+"""Scene + assets/quadrotor.xml -> MJCF, through dm_control.mjcf.
+
+The quadrotor hangs on three slide joints whose positions are world coordinates, driven by three
+actuators whose controls are accelerations in m/s^2. Only its collision sphere and the obstacle
+boxes collide; ground, items, depot and every other geom are there to be looked at.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.assets import asset_path
+from mjcollect.scene.scene import Scene
+
+# Names in the compiled model.
+UAV_BODY, UAV_GEOM, HIT_SENSOR = "quadrotor/uav", "quadrotor/body", "quadrotor/hit"
+JOINTS = ("quadrotor/x", "quadrotor/y", "quadrotor/z")
+ACTUATORS = ("quadrotor/ax", "quadrotor/ay", "quadrotor/az")
+NEVER = 1e6  # metres; deeper than any scene is wide
+OBSTACLE_RGBA = np.array(
+    [[0.62, 0.70, 0.80, 1.0], [0.78, 0.74, 0.66, 1.0], [0.54, 0.65, 0.70, 1.0]]
+)
+# Bright on the grey-blue world and apart for the colour-blind (Okabe and Ito).
+ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
+DEPOT_RGBA = (0.10, 0.45, 0.85, 1.0)
+
+
+def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjcf.RootElement:
+    """MJCF of a scene with one quadrotor at the depot.
+
+    Args:
+        scene: what to build.
+        solid: False leaves contacts sensed but not resolved: motion goes on by eq. (2)-(3), as
+            the `paper` reward preset needs.
+        visual_scale: grows the quadrotor's visual geoms, for pictures of a 1 km scene; the
+            collision sphere keeps its true size. 1 for simulation.
+    """
+    root = mjcf.RootElement(model="mjcollect")
+    root.option.timestep = scene.physics_step
+    root.option.integrator = "Euler"
+    root.option.gravity = (0.0, 0.0, 0.0)
+    # Without warm start a step depends on the state alone: batched and single stepping agree
+    # bit for bit through a contact.
+    root.option.flag.warmstart = "disable"
+    _look(root, scene)
+    for index, box in enumerate(scene.obstacles):
+        root.worldbody.add(
+            "geom",
+            name=f"obstacle_{index}",
+            type="box",
+            pos=(box[0] + box[1]) / 2,
+            size=(box[1] - box[0]) / 2,
+            contype=0,
+            conaffinity=1,
+            material="obstacle",
+            rgba=OBSTACLE_RGBA[index % len(OBSTACLE_RGBA)],
+        )
+    for index, item in enumerate(scene.items):
+        root.worldbody.add(
+            "site",
+            name=f"item_{index}",
+            pos=item,
+            size=(scene.epsilon,),
+            material="glow",
+            rgba=ITEM_RGBA,
+        )
+    root.worldbody.add(
+        "site",
+        name="depot",
+        type="cylinder",
+        pos=scene.depot,
+        size=(scene.return_tolerance, 0.3),
+        material="glow",
+        rgba=DEPOT_RGBA,
+    )
+    _add_quadrotor(root, scene, visual_scale)
+    if not solid:
+        # MuJoCo senses below margin + gap = 0 and resolves below margin, which is never. With
+        # constraints disabled it would not look for contacts at all.
+        body = root.find("geom", UAV_GEOM)
+        body.margin, body.gap = -NEVER, NEVER
+    return root
+
+
+def compile_model(scene: Scene, *, solid: bool = True) -> mujoco.MjModel:
+    """The scene as a plain MuJoCo model; see `build`."""
+    root = build(scene, solid=solid)
+    return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+
+
+def _add_quadrotor(root: mjcf.RootElement, scene: Scene, visual_scale: float) -> None:
+    quadrotor = mjcf.from_path(str(asset_path("quadrotor.xml")))
+    quadrotor.find("geom", "body").size = (scene.uav_radius,)
+    if visual_scale != 1.0:
+        for geom in quadrotor.find_all("geom"):
+            if geom.name != "body":
+                _scale(geom, visual_scale)
+        visual = quadrotor.find("default", "visual")
+        for default in visual.all_children():
+            if default.tag == "default":
+                _scale(default.geom, visual_scale)
+    physics = mjcf.Physics.from_mjcf_model(quadrotor)
+    mass = float(physics.bind(quadrotor.find("body", "uav")).subtreemass)
+    physics.free()
+    for actuator in quadrotor.find_all("actuator"):
+        actuator.gear = (mass,)
+    behind = np.array([-60.0, -30.0, 35.0])
+    quadrotor.find("body", "uav").add(
+        "camera",
+        name="chase",
+        mode="track",
+        pos=behind,
+        xyaxes=_look_at(behind, np.zeros(3)),
+        fovy=60,
+    )
+    root.attach(quadrotor)
+
+
+def _scale(geom: mjcf.Element, factor: float) -> None:
+    for attribute in ("pos", "size", "fromto"):
+        value = getattr(geom, attribute)
+        if value is not None:
+            setattr(geom, attribute, np.asarray(value) * factor)
+
+
+def _look(root: mjcf.RootElement, scene: Scene) -> None:
+    """Sky, ground, lights and cameras, sized to the scene."""
+    low, high = scene.bounds
+    extent = float(np.max(high - low))
+    centre = (low + high) / 2
+    root.statistic.extent = extent
+    root.statistic.center = centre
+    root.visual.map.znear = 0.0002
+    root.visual.map.zfar = 6.0
+    root.visual.quality.offsamples = 0
+    root.visual.quality.shadowsize = 0
+    getattr(root.visual, "global").offwidth = 1920
+    getattr(root.visual, "global").offheight = 1080
+    root.visual.headlight.ambient = (0.50, 0.50, 0.50)
+    root.visual.headlight.diffuse = (0.30, 0.30, 0.30)
+    root.visual.headlight.specular = (0.0, 0.0, 0.0)
+    root.asset.add(
+        "texture", name="sky", type="skybox", builtin="gradient", width=256, height=256,
+        rgb1=(0.55, 0.71, 0.88), rgb2=(0.90, 0.94, 0.98),
+    )  # fmt: skip
+    # Cells of 50 m on the ground and of 20 m on the boxes show speed and size.
+    root.asset.add(
+        "texture", name="ground", type="2d", builtin="checker", width=512, height=512,
+        rgb1=(0.52, 0.57, 0.53), rgb2=(0.56, 0.61, 0.57), mark="edge", markrgb=(0.66, 0.71, 0.67),
+    )  # fmt: skip
+    root.asset.add(
+        "material", name="ground", texture="ground", texuniform=True, texrepeat=(0.01, 0.01),
+        specular=0,
+    )  # fmt: skip
+    root.asset.add(
+        "texture", name="obstacle", type="2d", builtin="checker", width=256, height=256,
+        rgb1=(0.90, 0.90, 0.90), rgb2=(1.0, 1.0, 1.0), mark="edge", markrgb=(0.72, 0.74, 0.76),
+    )  # fmt: skip
+    root.asset.add(
+        "material", name="obstacle", texture="obstacle", texuniform=True, texrepeat=(0.025, 0.025),
+        specular=0,
+    )  # fmt: skip
+    root.asset.add("material", name="glow", emission=0.5, specular=0.2)
+    root.worldbody.add(
+        "geom", name="ground", type="plane", pos=(centre[0], centre[1], low[2]),
+        size=(extent, extent, 1.0), material="ground", contype=0, conaffinity=0,
+    )  # fmt: skip
+    root.worldbody.add(
+        "light", name="sun", directional=True, castshadow=False,
+        pos=(centre[0], centre[1], high[2]), dir=(0.4, 0.3, -0.85),
+        diffuse=(0.55, 0.55, 0.52), specular=(0.1, 0.1, 0.1),
+    )  # fmt: skip
+    root.worldbody.add(
+        "camera", name="top", pos=(centre[0], centre[1], high[2] + 1.3 * extent),
+        xyaxes=(1, 0, 0, 0, 1, 0), fovy=48,
+    )  # fmt: skip
+    _add_overview(root, centre, extent)
+
+
+def _add_overview(root: mjcf.RootElement, centre: Array, extent: float) -> None:
+    """A camera that looks at the centre from above one corner."""
+    position = centre + extent * np.array([-1.1, -1.1, 0.8])
+    root.worldbody.add(
+        "camera", name="overview", pos=position, xyaxes=_look_at(position, centre), fovy=43
+    )
+
+
+def _look_at(position: Array, target: Array) -> Array:
+    """`xyaxes` (6,) of a camera at `position` that looks at `target` with the horizon level."""
+    forward = target - position
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right)
+    up = np.cross(right, forward)
+    return np.concatenate([right, up / np.linalg.norm(up)])

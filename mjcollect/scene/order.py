@@ -1,0 +1,204 @@
+"""The order in which the items are visited: LKH as in the paper (section IV), and yardsticks.
+
+A node is an item index, or -1 for the depot. Segment k of an order of K items runs from one stop
+to the next: segment 0 leaves the depot, segment K returns to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+import numpy as np
+
+from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.scene import Scene
+
+ORDER_METHODS = ("lkh", "exact", "random", "given")
+DEPOT = -1
+MAX_EXACT = 12  # items; the dynamic programme has 2^K K entries
+# LKH counts in 32-bit integers times 100: longer weights overflow. In a 1 km cube the unit comes
+# out just below a millimetre.
+_LONGEST_WEIGHT = 2_000_000
+_LKH_RUNS = 10
+
+
+class TourError(ValueError):
+    """No order can be made as asked. The message names the method or the order, and the fix."""
+
+
+def plan_order(
+    scene: Scene, method: str, *, seed: int = 0, cost: Array | None = None
+) -> tuple[int, ...]:
+    """Visiting order of the items.
+
+    Of a tour's two directions `lkh`, `exact` and `random` give the one whose first item has the
+    smaller index.
+
+    Args:
+        scene: K items.
+        method: `lkh`; `exact` (dynamic programme, K <= 12, needs no elkai); `random`; `given`
+            (file order); or the order itself as in '2,0,1'.
+        seed: of the random order.
+        cost: (K+1, K+1) symmetric cost between nodes, depot first, for `lkh` and `exact`;
+            straight distances in metres if None.
+
+    Returns:
+        The K item indices in order of visit.
+
+    Raises:
+        TourError: unknown method, not a permutation, too many items, elkai is not installed, or
+            `cost` does not fit.
+    """
+    count = len(scene.items)
+    if method not in ORDER_METHODS:
+        return _explicit(method, count)
+    if method == "given":
+        return tuple(range(count))
+    if method == "random":
+        return _directed(np.random.default_rng(seed).permutation(count).tolist())
+    cost = distances(scene) if cost is None else _checked(cost, count)
+    if method == "exact":
+        return _directed(held_karp(cost)[1])
+    return _directed(_lkh(cost))
+
+
+def order_label(method: str) -> str:
+    """The name under which results report a method: itself, or 'explicit' for a listed order."""
+    return method if method in ORDER_METHODS else "explicit"
+
+
+def legs(order: Sequence[int]) -> list[tuple[int, int]]:
+    """The K+1 segments (from, to) of an order; the depot is -1."""
+    return list(zip([DEPOT, *order], [*order, DEPOT], strict=True))
+
+
+def tour_length(scene: Scene, order: Sequence[int]) -> float:
+    """Length in metres of the closed straight-line tour from the depot through the items."""
+    stops = np.concatenate([[scene.depot], scene.items[list(order)], [scene.depot]])
+    return float(np.sum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
+
+
+def distances(scene: Scene) -> Array:
+    """(K+1, K+1) straight distances in metres; row and column 0 are the depot."""
+    nodes = np.concatenate([[scene.depot], scene.items])
+    return np.asarray(np.linalg.norm(nodes[:, None] - nodes[None], axis=-1))
+
+
+def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
+    """Cheapest closed tour by the dynamic programme of Held and Karp (1962).
+
+    Args:
+        cost: (K+1, K+1), row = from, column = to, node 0 the depot; need not be symmetric.
+
+    Returns:
+        The tour's cost and its K items (0-based, so node minus one) in order.
+
+    Raises:
+        TourError: more than 12 items.
+    """
+    count = len(cost) - 1
+    if count > MAX_EXACT:
+        raise TourError(
+            f"order exact: {count} items: takes at most {MAX_EXACT}; use --order lkh or given"
+        )
+    between, bits = cost[1:, 1:], 1 << np.arange(count)
+    best = np.full((1 << count, count), np.inf)  # [visited, last]: cheapest way from the depot
+    before = np.zeros((1 << count, count), dtype=np.int64)
+    best[bits, np.arange(count)] = cost[0, 1:]
+    for visited in range(1, (1 << count) - 1):
+        free = np.flatnonzero(visited & bits == 0)
+        ways = best[visited][:, None] + between[:, free]
+        last = np.argmin(ways, axis=0)
+        best[visited | bits[free], free] = ways[last, np.arange(len(free))]
+        before[visited | bits[free], free] = last
+    closed = best[-1] + cost[1:, 0]
+    visited, last_item, order = (1 << count) - 1, int(np.argmin(closed)), []
+    while visited:
+        order.append(last_item)
+        visited, last_item = visited ^ (1 << last_item), int(before[visited, last_item])
+    return float(np.min(closed)), tuple(reversed(order))
+
+
+def _lkh(cost: Array) -> list[int]:
+    count = len(cost) - 1
+    if count < 3:  # every order is a shortest one; elkai refuses fewer than three nodes
+        return list(range(count))
+    try:
+        import elkai
+    except ImportError:
+        raise TourError(
+            "order lkh: elkai is not installed: pip install elkai, or use --order exact"
+        ) from None
+    # elkai silently cuts float weights to integers. Its seed is fixed, so that the same weights
+    # give the same tour.
+    unit = max(float(np.max(cost)), 1e-12) / _LONGEST_WEIGHT
+    weights = np.rint(cost / unit).astype(np.int64).tolist()
+    closed = elkai.DistanceMatrix(weights).solve_tsp(runs=_LKH_RUNS)
+    return [node - 1 for node in closed[1:-1]]
+
+
+def _directed(order: list[int] | tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(order if order[0] <= order[-1] else reversed(order))
+
+
+def _explicit(text: str, count: int) -> tuple[int, ...]:
+    try:
+        order = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise TourError(
+            f"order: {text!r}: must be one of {', '.join(ORDER_METHODS)}, "
+            "or item indices such as 2,0,1"
+        ) from None
+    if sorted(order) != list(range(count)):
+        raise TourError(
+            f"order: {text!r}: must name each of the items 0 to {count - 1} exactly once"
+        )
+    return order
+
+
+def _checked(cost: Array, count: int) -> Array:
+    if cost.shape != (count + 1, count + 1) or not np.all(np.isfinite(cost)) or np.any(cost < 0):
+        raise TourError(
+            f"cost: shape {cost.shape}: must be ({count + 1}, {count + 1}), finite and not negative"
+        )
+    if not np.allclose(cost, cost.T):
+        raise TourError("cost: must be symmetric; take the mean of both directions")
+    return cost
+
+
+def node_name(node: int) -> str:
+    """'depot' or 'item 3'."""
+    return "depot" if node < 0 else f"item {node}"
+
+
+# `from` is a keyword, hence the functional form.
+Segment = TypedDict(
+    "Segment", {"index": int, "from": int, "to": int, "distance": float, "blocked": bool}
+)
+
+
+def segments_table(scene: Scene, order: Sequence[int]) -> list[Segment]:
+    """The K+1 segments: nodes (depot -1), straight distance in metres, and whether it is blocked.
+
+    Blocked: the body, flying straight from point to point, would touch a box.
+    """
+    pairs, between = legs(order), distances(scene)
+    ends = np.array([[scene.point(frm), scene.point(to)] for frm, to in pairs])
+    clear = segment_clear(ends[:, 0], ends[:, 1], scene.obstacles, scene.uav_radius)
+    return [
+        {
+            "index": index,
+            "from": frm,
+            "to": to,
+            "distance": float(between[frm + 1, to + 1]),
+            "blocked": not bool(clear[index]),
+        }
+        for index, (frm, to) in enumerate(pairs)
+    ]
+
+
+def first_blocked(scene: Scene, order: Sequence[int]) -> int:
+    """Number of the first blocked segment, 0 if none is."""
+    return next((row["index"] for row in segments_table(scene, order) if row["blocked"]), 0)

@@ -1,0 +1,283 @@
+"""The scene: an immutable description of one collection problem, read from and written to JSON.
+
+Paper section II: a cube with box obstacles (6)-(8), a depot (4), items (5) and the limits (2)-(3).
+Every impossible or suspicious scene is refused with a `SceneError` that names field, value and fix.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjcollect.geometry.boxes import point_box_distance
+from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.enclosure import Space, walled_in
+from mjcollect.scene.assets import asset_path
+from mjcollect.scene.file_format import SceneError, parse, read_text
+
+MAX_EXTENT = 1e5  # metres; beyond this, 1e-6 m is no longer resolved along a mission
+MAX_SUBSTEPS = 1000
+LIMIT_RANGE = (1e-6, 1e6)  # SI; outside, squares and sums lose their digits
+POSITIVE_LIMITS = (
+    "v_max",
+    "a_max",
+    "epsilon",
+    "slot",
+    "return_tolerance",
+    "uav_radius",
+    "physics_step",
+)
+_SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3)}
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One collection problem. Lengths in metres, times in seconds; arrays are read-only.
+
+    Attributes:
+        name: label; `slug` is what run folders are called by.
+        seed: seed that made the scene (0 if made by hand).
+        bounds: (2, 3), minimum and maximum corner; inclusive for the body's centre.
+        depot: (3,), start and end of the mission.
+        items: (K, 3), K >= 1.
+        obstacles: (M, 2, 3), boxes as minimum and maximum corner.
+        v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
+        epsilon: collection radius, eq. (5).
+        slot: length of a slot, the paper's delta.
+        return_tolerance: how near to the depot the mission must end.
+        uav_radius: radius of the body; no point of it may touch a box.
+        physics_step: MuJoCo time step; divides the slot.
+    """
+
+    name: str
+    seed: int
+    bounds: Array
+    depot: Array
+    items: Array
+    obstacles: Array
+    v_max: float = 50.0
+    a_max: float = 20.0
+    epsilon: float = 5.0
+    slot: float = 0.2
+    return_tolerance: float = 5.0
+    uav_radius: float = 0.5
+    physics_step: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays and refuse what cannot be flown.
+
+        Raises:
+            SceneError: naming field, value and fix.
+        """
+        for field, shape in _SHAPES.items():
+            array = _array(field, getattr(self, field), shape)
+            array.setflags(write=False)
+            object.__setattr__(self, field, array)
+        for limit in POSITIVE_LIMITS:
+            object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
+        self._check()
+
+    # Derived
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps in a slot (n)."""
+        return round(self.slot / self.physics_step)
+
+    @property
+    def slug(self) -> str:
+        """The name as a file name: everything but letters, digits and . _ - becomes _."""
+        return re.sub(r"[^A-Za-z0-9._-]|^[.-]", "_", self.name)
+
+    def point(self, node: int) -> Array:
+        """Position (3,) of item `node`, or of the depot for -1."""
+        return self.depot if node < 0 else self.items[node]
+
+    def tolerance(self, node: int) -> float:
+        """How near to item `node` (or the depot, -1) the UAV must come to rest, in metres."""
+        return self.return_tolerance if node < 0 else self.epsilon
+
+    # Input and output
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Scene:
+        """Read a scene file.
+
+        Raises:
+            SceneError: the file is unreadable, is not a scene, or the scene is refused.
+        """
+        return cls.from_json(read_text(path))
+
+    @classmethod
+    def find(cls, name: str | os.PathLike[str]) -> Scene:
+        """Scene of a file, or a bundled scene by name such as `scenario_1`; see `load`."""
+        bundled = asset_path("scenes", f"{name}.json")
+        return cls.load(bundled if not Path(name).exists() and bundled.is_file() else name)
+
+    @classmethod
+    def from_json(cls, text: str) -> Scene:
+        """Scene from JSON text; see `load`."""
+        return cls(**parse(text))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON document of the scene, all keys written out."""
+        document: dict[str, Any] = {
+            "name": self.name,
+            "seed": self.seed,
+            "bounds": _box_dict(self.bounds),
+            "depot": self.depot.tolist(),
+            "items": self.items.tolist(),
+            "obstacles": [_box_dict(box) for box in self.obstacles],
+        }
+        return document | {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the scene file; `load` gives back an equal scene."""
+        Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
+
+    def __eq__(self, other: object) -> bool:
+        """Equal when every field is."""
+        return isinstance(other, Scene) and self.to_dict() == other.to_dict()
+
+    def __hash__(self) -> int:
+        """Hash that agrees with equality."""
+        return hash(json.dumps(self.to_dict()))
+
+    # Rules
+
+    def _check(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise SceneError("name", self.name, "must be printable text that is not blank")
+        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**63:
+            raise SceneError("seed", self.seed, "must be an integer, at least 0 and below 2^63")
+        ratio = self.slot / self.physics_step
+        if ratio > MAX_SUBSTEPS + 0.5:
+            raise SceneError(
+                "physics_step",
+                self.physics_step,
+                f"must be at least slot / {MAX_SUBSTEPS} = {self.slot / MAX_SUBSTEPS:g} s",
+            )
+        if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
+            raise SceneError(
+                "physics_step", self.physics_step, f"must divide the slot of {self.slot} s evenly"
+            )
+        self._check_bounds()
+        self._check_obstacles()
+        self._check_points()
+
+    def _check_bounds(self) -> None:
+        low, high = self.bounds
+        if np.any(low >= high):
+            raise SceneError(
+                "bounds", _box_dict(self.bounds), "min must be below max on every axis"
+            )
+        if np.any(high - low > MAX_EXTENT) or np.any(np.abs(self.bounds) > MAX_EXTENT):
+            raise SceneError(
+                "bounds", _box_dict(self.bounds), f"must lie within {MAX_EXTENT:g} m; use metres"
+            )
+        if np.any(high - low < 2 * self.uav_radius):
+            raise SceneError(
+                "bounds",
+                _box_dict(self.bounds),
+                f"must be at least 2 * uav_radius = {2 * self.uav_radius} m wide on every axis",
+            )
+        if not _inside(self.depot, self.bounds):
+            raise SceneError(
+                "depot", self.depot.tolist(), "lies outside the bounds; move it inside"
+            )
+        for name in ("epsilon", "return_tolerance"):
+            value = getattr(self, name)
+            if value >= np.linalg.norm(high - low):
+                raise SceneError(name, value, "must be smaller than the bounds' diagonal")
+
+    def _check_obstacles(self) -> None:
+        for index, box in enumerate(self.obstacles):
+            field = f"obstacles[{index}]"
+            if np.any(box[0] >= box[1]):
+                raise SceneError(
+                    field, _box_dict(box), "min must be below max on every axis; swap or widen them"
+                )
+            if not (_inside(box[0], self.bounds) and _inside(box[1], self.bounds)):
+                raise SceneError(
+                    field, _box_dict(box), "reaches outside the bounds; clip it or widen the bounds"
+                )
+        distance = point_box_distance(self.depot, self.obstacles)
+        for index in np.flatnonzero(distance < self.uav_radius).tolist():
+            raise SceneError(
+                "depot",
+                self.depot.tolist(),
+                f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's "
+                f"radius uav_radius = {self.uav_radius} m; move the depot or the obstacle",
+            )
+
+    def _check_points(self) -> None:
+        if len(self.items) == 0:
+            raise SceneError("items", [], "needs at least one item [x, y, z]")
+        for index, item in enumerate(self.items):
+            field = f"items[{index}]"
+            if not _inside(item, self.bounds):
+                raise SceneError(field, item.tolist(), "lies outside the bounds; move it inside")
+            distance = point_box_distance(item, self.obstacles)
+            for hit in np.flatnonzero(distance <= 0.0):
+                raise SceneError(
+                    field, item.tolist(), f"lies inside or on obstacles[{hit}]; move one of them"
+                )
+            for hit in np.flatnonzero(distance + self.epsilon < self.uav_radius):
+                raise SceneError(
+                    field,
+                    item.tolist(),
+                    f"is {distance[hit]:.3g} m from obstacles[{hit}]: a body of radius "
+                    f"{self.uav_radius} m cannot come within epsilon = {self.epsilon} m of it",
+                )
+        space = Space(
+            self.bounds, self.obstacles, self.uav_radius, self.depot, self.items, self.epsilon
+        )
+        for node in walled_in(space):
+            field = "depot" if node < 0 else f"items[{node}]"
+            raise SceneError(
+                field,
+                self.point(node).tolist(),
+                "is walled in: obstacles close it off from "
+                + ("every item" if node < 0 else "the depot")
+                + "; open a passage wider than the body or move it",
+            )
+
+
+def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:
+    """A fresh, finite array; -1 in `shape` is any length, also none."""
+    try:
+        array = np.array(value, dtype=np.float64)
+        if array.size == 0 and shape[0] < 0:
+            array = array.reshape(0, *shape[1:])
+        if array.shape != tuple(
+            have if want < 0 else want for want, have in zip(shape, array.shape, strict=True)
+        ):
+            raise ValueError
+    except (TypeError, ValueError):
+        wanted = " x ".join("N" if size < 0 else str(size) for size in shape)
+        raise SceneError(field, value, f"needs {wanted} numbers") from None
+    if not np.all(np.isfinite(array)):
+        raise SceneError(field, array.tolist(), "must be finite numbers")
+    return array
+
+
+def _limit(field: str, value: object) -> float:
+    low, high = LIMIT_RANGE
+    if isinstance(value, bool) or not isinstance(value, Real) or not low <= float(value) <= high:
+        raise SceneError(field, value, f"must be a positive number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _inside(point: Array, bounds: Array) -> bool:
+    return bool(np.all(point >= bounds[0]) and np.all(point <= bounds[1]))
+
+
+def _box_dict(box: Array) -> dict[str, Any]:
+    return {"min": box[0].tolist(), "max": box[1].tolist()}

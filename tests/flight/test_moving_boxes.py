@@ -1,0 +1,124 @@
+"""Moving boxes against hand-computed places and the exact distance to a box that stands still."""
+
+import numpy as np
+import pytest
+
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.flight.moving_boxes import LEAST_WAY, SIDE, SIGHT, SWING, MovingBoxes
+from mjcollect.planners.mpc import Mpc
+from mjcollect.scene.scene import Scene
+
+START, GOAL = np.array([[100.0, 500.0, 500.0]]), np.array([[900.0, 500.0, 500.0]])
+
+
+@pytest.fixture(scope="module")
+def course():
+    """An item 800 m ahead in an empty room."""
+    room = Scene("room", 0, [[0, 0, 0], [1000] * 3], START[0], GOAL, [])
+    return Course.segment(room, (0,), 0)
+
+
+def flights(course, level, count, observation="robust"):
+    disturbances = Disturbances(level, count, np.random.default_rng(0))
+    rules = Rules(observation, shield=False)  # which would keep from the boxes that are seen
+    sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
+    sims.place(np.arange(count), np.tile(START, (count, 1)), np.zeros((count, 3)))
+    return sims
+
+
+def drawn(count, speed=10.0):
+    movers = MovingBoxes(count)
+    ends = np.tile(START, (count, 1)), np.tile(GOAL, (count, 1))
+    movers.begin(np.arange(count), *ends, np.full(count, speed), np.random.default_rng(0))
+    return movers
+
+
+def test_go_to_and_fro_across_the_way_at_their_speed():
+    movers, seconds = drawn(50), 0.1
+    period = 4 * SWING / 10.0
+    places = []
+    for _ in range(round(period / seconds)):
+        places.append(movers.centres())
+        movers.move(seconds)
+    places = np.array(places)
+    np.testing.assert_allclose(movers.centres(), places[0], atol=1e-9)
+    assert np.ptp(places[:, :, [0, 2]], axis=0).max() < 1e-6  # across a way along x: along y
+    swing = places[:, :, 1] - 500.0
+    assert np.abs(swing).max() <= SWING + 1e-9
+    assert np.abs(swing).max(axis=0).min() > SWING - 1.0
+    speed = np.abs(np.diff(swing, axis=0)) / seconds
+    assert np.median(speed) == pytest.approx(10.0)
+    assert speed.max() <= 10.0 + 1e-9
+    assert 100 + 0.35 * 800 <= places[:, :, 0].min() <= places[:, :, 0].max() <= 100 + 0.65 * 800
+
+
+def test_short_legs_and_calm_flights_have_none():
+    movers = MovingBoxes(2)
+    goal = START + np.array([[LEAST_WAY - 1, 0, 0], [LEAST_WAY + 1, 0, 0]])
+    movers.begin(np.arange(2), np.tile(START, (2, 1)), goal, np.full(2, 5.0),
+                 np.random.default_rng(0))  # fmt: skip
+    assert (movers.speed > 0).tolist() == [False, True]
+    assert not np.isfinite(movers.boxes[0]).all() or np.abs(movers.boxes[0]).min() > 1e6
+    assert (drawn(3, speed=0.0).seen(np.tile(START, (3, 1)), np.full((3, 1), 50.0)) == 0).all()
+
+
+def test_touch_is_judged_between_body_and_box_both_moving(course):
+    """A body at rest is hit when the box comes within its radius, and not before."""
+    movers = drawn(1)
+    world = flights(course, Disturbance(mover=10.0), 1).episodes.world
+    centre = movers.centres()[0]
+    side = np.sign(movers.centres(0.05)[0, 1] - centre[1])
+    for gap, hit in ((0.5 + 1.9, True), (0.5 + 2.1, False)):  # it moves 2 m in the slot
+        body = centre + np.array([0.0, side * (SIDE / 2 + gap), 0.0])
+        whole = np.tile(body, (1, world.substeps + 1, 1))
+        assert movers.touched(world, whole).any() == hit
+        away = whole + np.linspace(0, side * 4.0, world.substeps + 1)[None, :, None] * [0, 1, 0]
+        assert not movers.touched(world, away).any()
+
+
+def test_are_seen_with_their_velocity(course):
+    movers = drawn(20)
+    centre, top = movers.centres(), np.full((20, 1), 50.0)
+    seen = movers.seen(centre - [SIDE / 2 + SIGHT / 4, 0, 0], top)
+    np.testing.assert_allclose(seen[:, :3], [[0.75, 0.0, 0.0]] * 20, atol=1e-9)
+    np.testing.assert_allclose(np.abs(seen[:, 3:]), [[0.0, 0.2, 0.0]] * 20, atol=1e-6)
+    assert (movers.seen(centre - [SIDE / 2 + SIGHT + 1, 0, 0], top) == 0.0).all()
+
+
+def test_the_law_waits_for_a_slow_one_and_a_blind_flight_does_not(course):
+    """The box is seen as one that stands: what rushes on hits it now and then, the law rarely."""
+    count = 60
+    hits = {}
+    for name in ("law", "blind"):
+        sims = flights(course, Disturbance(mover=2.0), count)
+        blind = flights(course, Disturbance(), count)
+        running, hit = np.ones(count, bool), np.zeros(count, bool)
+        while running.any():
+            pilot = sims if name == "law" else blind
+            action = pilot.episodes.guidance_action().copy()
+            blind.step(action)
+            outcome = sims.step(action)
+            hit |= running & outcome.slot.contact
+            running &= ~(outcome.terminated | outcome.truncated)
+        hits[name] = hit.mean()
+    assert hits["blind"] > 0.2
+    assert hits["law"] < hits["blind"] / 4
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_the_mpc_keeps_from_a_box_that_it_sees(course, sees):
+    """One that stands in the way, of which the way does not know: it waits there."""
+    sims = flights(course, Disturbance(mover=1e-6), 1)
+    sims.episodes.disturbances.movers._phase[:] = 0.0  # right in the way
+    planner, hit, ended = Mpc(course), False, False
+    while not ended:
+        if sees:
+            planner.see(sims.episodes.boxes[0])
+        outcome = sims.step(planner.action(sims.episodes)[None])
+        hit |= bool(outcome.slot.contact[0])
+        ended = bool(outcome.terminated[0] | outcome.truncated[0])
+    assert hit != sees
+    assert bool(outcome.truncated[0]) == sees

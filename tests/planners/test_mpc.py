@@ -1,0 +1,201 @@
+"""The MPC: its model is the environment's slot, its plans keep the rules, bad solves do no harm."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from mjcollect.envs.course import Course
+from mjcollect.envs.dm_env import make_environment
+from mjcollect.envs.recording import fly_law, record
+from mjcollect.flight.straight_line import roll_out
+from mjcollect.flight.world import World
+from mjcollect.geometry.boxes import point_box_distance, segment_box_distance
+from mjcollect.planners.mpc import HORIZON, Mpc
+from mjcollect.planners.plan import Plan, is_flyable
+from mjcollect.planners.separating_planes import SIGHT, separate
+from mjcollect.scene.bounds import detour_bound, leg_time
+from mjcollect.scene.scene import Scene
+from mjcollect.verify import verify
+from train.fly import main as fly
+
+
+@pytest.fixture(scope="module")
+def open_course():
+    """One straight leg of 500 m, too long for the horizon, and one back to an item beside it."""
+    scene = Scene(
+        name="open",
+        seed=0,
+        bounds=[[0, 0, 0], [600, 60, 60]],
+        depot=[10, 30, 30],
+        items=[[510, 30, 30], [60, 30, 30]],
+        obstacles=[],
+    )
+    return Course.mission(scene, (0, 1))
+
+
+def flown(course, planner):
+    return record(course, lambda _, task: planner.action(task.episodes))
+
+
+def test_the_model_is_the_slot_of_the_environment(free_course):
+    environment = make_environment(free_course)
+    environment.reset()
+    physics, task = environment.physics, environment.task
+    world, rng = World.stack([free_course.scene]), np.random.default_rng(0)
+    for _ in range(20):
+        q, v = physics.position(), physics.velocity()
+        environment.step(rng.uniform(-1, 1, 3))
+        path, speeds = roll_out(world, q, v, task.acceleration[None])
+        assert np.allclose(path[0, 1:], physics.path, rtol=0, atol=1e-11)
+        assert np.allclose(speeds[0, 1:], physics.speeds, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("target", [0, 1, 2])
+def test_plans_keep_limits_boxes_and_bounds_and_end_at_rest(mission_course, target):
+    scene, world = mission_course.scene, World.stack([mission_course.scene])
+    leg = Course(scene, mission_course.nodes[target : target + 2])
+    q, v = leg.starts("spread", 12, np.random.default_rng(target))
+    planned = arriving = 0
+    for k in range(len(q)):
+        plan = Mpc(mission_course).plan(q[k], v[k], target)
+        if plan is None:
+            continue
+        planned += 1
+        assert plan.slots <= HORIZON
+        assert np.linalg.norm(plan.a, axis=1).max() <= scene.a_max
+        path, speeds = roll_out(world, q[k], v[k], plan.a)
+        assert np.linalg.norm(speeds, axis=-1).max() <= scene.v_max
+        assert np.allclose(path[:, -1], plan.q[1:], rtol=0, atol=1e-5)
+        # Far more points than physics steps, on the parabolas themselves.
+        points = (
+            path[:, :-1, None] + np.linspace(0, 1, 9)[:, None] * np.diff(path, axis=1)[:, :, None]
+        )
+        assert point_box_distance(points[..., None, :], scene.obstacles).min() >= scene.uav_radius
+        assert np.all((points >= scene.bounds[0] - 1e-6) & (points <= scene.bounds[1] + 1e-6))
+        assert np.allclose(plan.v[-1], 0, atol=1e-12)
+        if plan.arrives:
+            goal = mission_course.guidance[target].goal
+            assert np.linalg.norm(path[-1, -1] - goal) <= scene.epsilon
+            arriving += 1
+    assert planned >= 10
+    assert arriving >= 1
+
+
+def test_straight_legs_take_the_least_number_of_slots(open_course):
+    scene = open_course.scene
+    flight = flown(open_course, Mpc(open_course, look_past=False))
+    assert flight.success
+    assert verify(scene, flight.trajectory, (0, 1)) == []
+    begun, at = 0.0, scene.depot
+    for end, guidance in zip(flight.arrivals, open_course.guidance, strict=True):
+        free = np.linalg.norm(guidance.goal - at) - guidance.tolerance
+        least = leg_time(free, scene.v_max, scene.a_max)
+        # Braking starts at a slot's start: one slot may be lost to that, not two.
+        assert least <= end - begun + 1e-9 < least + 2 * scene.slot
+        begun = end
+        at = flight.trajectory.x[np.isclose(flight.trajectory.t, end)][0]
+
+
+def test_spare_time_goes_into_a_stop_nearer_to_the_next_target(open_course):
+    q, v = np.array([60.0, 50, 30]), np.zeros(3)
+    plans = [Mpc(open_course, look_past=yes).plan(q, v, 1) for yes in (True, False)]
+    least = leg_time(20.0 - 5.0, 50.0, 20.0)  # 1.73 s, 9 slots: 1.8 s
+    assert [plan.slots for plan in plans] == [np.ceil(least / 0.2)] * 2
+    nearer, other = (np.linalg.norm(plan.q[-1] - open_course.scene.depot) for plan in plans)
+    assert nearer < other - 2.0
+
+
+def test_a_blocked_mission_is_flown_near_the_least_time(mission_course):
+    planner = Mpc(mission_course)
+    flight = flown(mission_course, planner)
+    assert flight.success
+    assert verify(mission_course.scene, flight.trajectory, (0, 1)) == []
+    ways = zip(mission_course.nodes[:-1], mission_course.nodes[1:], strict=True)
+    lengths = [guidance.length for guidance in mission_course.guidance]
+    detours = [
+        detour_bound(mission_course.scene, *way, length)
+        for way, length in zip(ways, lengths, strict=True)
+    ]
+    assert sum(detours) < flight.trajectory.duration < 1.06 * sum(detours)
+    assert planner.counts["law"] == 0
+    assert planner.counts["planned"] + planner.counts["replayed"] == planner.counts["decisions"]
+    again = flown(mission_course, Mpc(mission_course))
+    assert np.array_equal(again.trajectory.x, flight.trajectory.x)
+
+
+def test_without_any_solution_it_flies_like_the_guidance_law(mission_course):
+    planner = Mpc(mission_course)
+    planner._program._settings.max_iter = 1
+    flight, law = flown(mission_course, planner), fly_law(mission_course)
+    assert np.array_equal(flight.trajectory.x, law.trajectory.x)
+    assert set(planner.statuses) == {"MaxIterations"}
+    assert planner.counts["law"] == planner.counts["decisions"] > 100
+
+
+def test_when_the_solver_fails_the_last_plan_is_flown_to_its_end(free_course):
+    planner = Mpc(free_course)
+    first = planner.plan(free_course.scene.depot, np.zeros(3), 0)
+    assert first is not None
+    assert first.arrives
+    planner._program._settings.max_iter = 1
+    q, v = free_course.scene.depot, np.zeros(3)
+    for k in range(first.slots):
+        plan = first if k == 0 else planner.plan(q, v, 0)
+        path, speeds = roll_out(World.stack([free_course.scene]), q, v, plan.a[:1])
+        q, v = path[-1, -1], speeds[-1, -1]
+    assert planner.counts["replayed"] == first.slots - 1
+    assert np.linalg.norm(v) < 1e-9
+    assert np.linalg.norm(q - free_course.guidance[0].goal) <= free_course.guidance[0].tolerance
+
+
+def test_a_plan_through_a_box_is_refused(corridor):
+    world = World.stack([corridor])
+    box = corridor.obstacles[0]
+    start = np.array([box[0, 0] - 2.0, 20.0, 20.0])
+    v = np.array([[4.0, 0, 0], [4.0, 0, 0], [4.0, 0, 0], [0, 0, 0]])
+    x = np.concatenate([[start], start + np.cumsum((v[1:] + v[:-1]) / 2 * 0.2, axis=0)])
+    assert not is_flyable(world, Plan(x, v, 0.2, arrives=False))
+    assert is_flyable(world, Plan(x - [10.0, 0, 0], v, 0.2, arrives=False))
+    assert not is_flyable(
+        world, Plan(x - [10.0, 0, 0], v * [[1], [-1], [1], [0]], 0.2, arrives=False)
+    )
+
+
+def test_planes_separate_as_far_as_any_can():
+    rng = np.random.default_rng(1)
+    low = rng.uniform(0, 60, (30, 3))
+    boxes = np.stack([low, low + rng.uniform(1, 20, (30, 3))], axis=1)
+    path = 40.0 + np.cumsum(rng.uniform(-6, 6, (100, 3)), axis=0)
+    planes = separate(path, boxes)
+    distance = segment_box_distance(path[:-1, None], path[1:, None], boxes)
+    pairs = set(zip(planes.piece.tolist(), planes.box.tolist(), strict=True))
+    assert pairs >= set(zip(*map(np.ndarray.tolist, np.nonzero(distance < SIGHT)), strict=True))
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
+    vertices = np.take_along_axis(boxes[planes.box], corners[None], axis=1)
+    reach = np.einsum("pcx,px->pc", vertices, planes.normal).max(axis=1)
+    assert np.allclose(reach, planes.offset, atol=1e-9)
+    assert np.allclose(np.linalg.norm(planes.normal, axis=1), 1.0)
+    expected = distance[planes.piece, planes.box]
+    apart = expected > 0.1
+    assert apart.sum() > 100
+    assert np.allclose(planes.clearance[apart], expected[apart], atol=1e-3)
+    assert np.all(planes.clearance[expected == 0.0] <= 1e-9)
+
+
+def test_horizon_must_hold_a_plan(free_course):
+    with pytest.raises(ValueError, match="horizon"):
+        Mpc(free_course, horizon=1)
+
+
+def test_the_program_flies_it(corridor, tmp_path):
+    scene, out = tmp_path / "scene.json", tmp_path / "out"
+    corridor.save(scene)
+    line = ["--scene", str(scene), "--planner", "mpc", "--order", "given", "--out", str(out)]
+    assert fly([*line, "--no-video"]) == 0
+    result = json.loads((out / "mission.json").read_text())
+    assert (result["success"], result["planner"], result["order"]) == (True, "mpc", [0, 1])
+    assert result["mission_time"] < 1.06 * result["detour_time"]
+    assert "0 by the guidance law" in (out / "report.md").read_text()

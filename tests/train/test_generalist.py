@@ -1,0 +1,206 @@
+"""`python -m train.generalist` with tiny budgets, and the pool of segments it learns on."""
+
+import contextlib
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mjcollect.envs.course import Course
+from mjcollect.learning.policy import TrainedPolicy
+from train import generalist
+from train.support import training_loop
+from train.support.mission_report import read_metrics
+from train.support.run_folder import RunFolder
+from train.support.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
+
+TINY = (  # noqa: SIM905 - reads like the command line
+    "--segments 5 --held-out 2 --courses 4 --rotate 16 --workers 1 --checkpoint-every 8 "
+    "--updates 48 --least-updates 48 --patience 48 --envs 8 --batch 16 --buffer 2000 --width 8 "
+    "--u2 4 --demonstrations 64 --actor-delay 8 --eval-every 16"
+).split()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    assert generalist.main(["--out", str(out), *TINY]) == 0
+    return out
+
+
+def test_leaves_a_policy_that_loads_and_what_it_came_from(finished):
+    policy = TrainedPolicy.load(finished / "policy.safetensors")
+    config = json.loads((finished / "config.json").read_text())
+    assert policy.observation == config["learn"]["observation"]
+    size = next(policy.actor.parameters()).shape[1]
+    actions = policy(np.zeros((3, size), dtype=np.float32))
+    assert actions.shape == (3, 3)
+    assert np.isfinite(actions).all()
+    result = json.loads((finished / "generalist.json").read_text())
+    assert result["updates"] == 48
+    assert result["segments"] + result["held_out_segments"] == 7
+    names = {path.name for path in finished.iterdir()}
+    assert {"config.json", "command.txt", "metrics.csv", "learning.png", "checkpoint"} <= names
+
+
+def test_the_best_on_held_out_segments_is_kept(finished):
+    result = json.loads((finished / "generalist.json").read_text())
+    best, rows = result["held_out"], read_metrics(finished / "metrics.csv")
+    assert [row["update"] for row in rows] == [16, 32, 48]
+    chosen = next(row for row in rows if row["update"] == result["best_update"])
+    assert best["success_rate"] == chosen["eval_success_rate"]
+    assert best["shield_share"] == chosen["eval_shield_share"]
+    np.testing.assert_equal(best["mean_time"] or math.nan, chosen["eval_mean_time"])
+
+
+def test_the_law_is_evaluated_on_the_same_starts(finished):
+    law = json.loads((finished / "generalist.json").read_text())["law"]
+    assert 0.0 < law["success_rate"] <= 1.0
+    assert law["point_rate"] == 1.0  # calm
+    assert law["point_time"] > 0.0
+
+
+def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monkeypatch):
+    """Ctrl-C before, at and after a change of segments."""
+    out = tmp_path / "stopped"
+    stops = iter((4, 16, 28, 10_000))
+    goal = [0]
+
+    class Pressed:
+        def __enter__(self):
+            goal[0] = next(stops)
+            return lambda: made[0] >= goal[0]
+
+        def __exit__(self, *_):
+            return False
+
+    made = [-1]
+    run = generalist.Trainer.run
+
+    def counted(trainer):
+        for updates in run(trainer):
+            made[0] = updates
+            yield updates
+
+    monkeypatch.setattr(generalist.Trainer, "run", counted)
+    built = generalist._build(RunFolder(finished), args_of(out))
+
+    def link(folder, args):
+        if not (folder.path / "pool").exists():
+            (folder.path / "pool").symlink_to(finished / "pool")
+        return built
+
+    monkeypatch.setattr(generalist, "_build", link)
+    monkeypatch.setattr(training_loop, "stop_on_ctrl_c", Pressed)
+    codes = [generalist.main(["--out", str(out), *TINY])]
+    codes += [generalist.main(["--out", str(out), "--resume", *TINY]) for _ in range(3)]
+    assert codes == [130, 130, 130, 0]
+    same(out, finished)
+
+
+@pytest.mark.slow
+def test_learns_with_shards_and_goes_on_after_a_stop(finished, tmp_path, monkeypatch):
+    """Two processes that simulate; stopped in the middle, the same policy comes out."""
+    more = [*TINY, "--shards", "2", "--updates", "32", "--least-updates", "32", "--eval-every", "8"]
+    built = generalist._build(RunFolder(finished), args_of(tmp_path))
+
+    def link(folder, args):
+        if not (folder.path / "pool").exists():
+            (folder.path / "pool").symlink_to(finished / "pool")
+        return built
+
+    monkeypatch.setattr(generalist, "_build", link)
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert generalist.main(["--out", str(whole), *more]) == 0
+    run = generalist.Trainer.run
+
+    def cut(trainer):
+        for updates in run(trainer):
+            yield updates
+            if updates == 20:  # after the checkpoint at 16
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(generalist.Trainer, "run", cut)
+    with contextlib.suppress(KeyboardInterrupt):
+        generalist.main(["--out", str(parts), *more])
+    monkeypatch.setattr(generalist.Trainer, "run", run)
+    assert generalist.main(["--out", str(parts), *more, "--resume"]) == 0
+    same(whole, parts)
+
+
+def same(one, other):
+    """Runs that went the same way."""
+    for name in ("metrics.csv", "policy.safetensors"):
+        assert (one / name).read_bytes() == (other / name).read_bytes()
+
+
+def test_a_pool_without_a_way_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        generalist, "build_all", lambda _, wanted, *__: [(n, False) for n in wanted]
+    )
+    assert generalist.main(["--out", str(tmp_path / "out"), *TINY]) == 2
+    assert "--segments: the guidance finds no way" in capsys.readouterr().err
+
+
+def test_a_policy_that_never_arrives_is_reported_too(finished, tmp_path, capsys):
+    folder = RunFolder(tmp_path)
+    result = json.loads((finished / "generalist.json").read_text())
+    nothing = {"success_rate": 0.0, "point_rate": 0.0, "point_time": math.nan}
+    result["held_out"] |= generalist._finite(nothing)
+    folder.write_json("generalist.json", result)
+    assert generalist._report(folder) == 0
+    assert "calm 0.0% in - (law" in capsys.readouterr().out
+
+
+def args_of(out):
+    import tyro
+
+    return tyro.cli(generalist.Args, args=["--out", str(out), *TINY])
+
+
+def test_segments_depend_on_seed_and_number_alone(tmp_path):
+    one, again, other = draw_segment(3, 7), draw_segment(3, 7), draw_segment(4, 7)
+    assert (one.scene, one.order, one.index) == (again.scene, again.order, again.index)
+    assert one.scene != other.scene
+    assert build(3, tmp_path, 7)
+    assert list(tmp_path.glob("guidance-*.npz"))
+    course = one.course(tmp_path)
+    assert isinstance(course, Course)
+    np.testing.assert_array_equal(
+        course.guidance[0].path, one.course(tmp_path / "no").guidance[0].path
+    )
+
+
+def test_segments_are_of_all_kinds():
+    legs = [draw_segment(0, number) for number in range(60)]
+    for leg in legs:
+        assert ITEMS[0] <= len(leg.scene.items) <= ITEMS[1]
+        assert OBSTACLES[0] <= len(leg.scene.obstacles) <= OBSTACLES[1]
+        assert 0 <= leg.index <= len(leg.order)
+    sizes = [np.ptp(leg.scene.bounds) for leg in legs]
+    assert min(sizes) < 1000 * (SCALE[0] + 0.1)
+    assert max(sizes) > 1000 * (SCALE[1] - 0.1)
+    grounded = [bool(leg.scene.name.startswith("city")) for leg in legs]
+    assert 10 < sum(grounded) < 50
+    assert draw_segment(0, 1, "floating").scene.name.startswith("floating")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["--seed", "-1"], "--seed: -1"),
+        (["--disturbed", "1.5"], "--disturbed: 1.5"),
+        (["--held-out", "0"], "--held-out: 0"),
+        (["--observation", "paper"], "--observation: paper"),
+        (["--disturbed", "0.5", "--observation", "guided"], "--observation: guided"),
+        (["--wind", "-2"], "wind: -2.0"),
+        (["--shards", "-1"], "--shards: -1"),
+        (["--ray", "local"], "--ray: needs --shards"),
+    ],
+)
+def test_bad_settings_are_refused_before_anything_is_written(arguments, named, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert generalist.main(["--out", str(out), *arguments]) == 2
+    assert named in capsys.readouterr().err
+    assert not out.exists()

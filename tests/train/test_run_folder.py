@@ -1,0 +1,164 @@
+import signal
+
+import pytest
+import torch
+
+from mjcollect.scene.scene import Scene
+from train.support.command_line import stop_on_ctrl_c
+from train.support.run_folder import RunError, RunFolder
+
+CONFIG = {"program": "test", "seed": 1}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return Scene.find("scenario_1")
+
+
+@pytest.fixture
+def folder(tmp_path, scene):
+    folder = RunFolder(tmp_path / "run")
+    folder.check(CONFIG, resume=False, overwrite=False)
+    folder.create(CONFIG, scene, overwrite=False)
+    return folder
+
+
+def test_check_touches_nothing(tmp_path):
+    RunFolder(tmp_path / "a" / "b").check(CONFIG, resume=False, overwrite=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_folder_is_refused_and_left_alone(folder):
+    before = (folder.path / "config.json").read_text()
+    with pytest.raises(RunError, match=r"is not empty.*--resume.*--overwrite"):
+        folder.check(CONFIG, resume=False, overwrite=False)
+    assert (folder.path / "config.json").read_text() == before
+
+
+def test_resume_with_other_settings_names_the_difference(folder):
+    folder.check(CONFIG, resume=True, overwrite=False)
+    with pytest.raises(RunError, match="seed: 2 differs from 1"):
+        folder.check(CONFIG | {"seed": 2}, resume=True, overwrite=False)
+
+
+def test_resume_of_a_strange_folder_is_refused(tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(RunError, match=r"no config\.json"):
+        RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=False)
+
+
+def test_resume_of_a_run_killed_before_its_config_begins_it(tmp_path):
+    for name in ("scene.json", ".part-command.txt"):
+        (tmp_path / name).write_text("{}")
+    RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=False)
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "file/below"])
+def test_impossible_folders_are_refused(tmp_path, name):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RunError, match="cannot be used"):
+        RunFolder(tmp_path / name).check(CONFIG, resume=False, overwrite=False)
+
+
+def test_resume_and_overwrite_exclude_each_other(tmp_path):
+    with pytest.raises(RunError, match="exclude"):
+        RunFolder(tmp_path).check(CONFIG, resume=True, overwrite=True)
+
+
+def test_a_file_as_folder_is_refused(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(RunError, match="is a file"):
+        RunFolder(tmp_path / "out").check(CONFIG, resume=False, overwrite=False)
+
+
+def test_overwrite_removes_only_a_run(folder, scene):
+    (folder.path / "letter.txt").write_text("dear")
+    (folder.path / "segment.json").write_text("{}")
+    (folder.path / "checkpoint").mkdir()
+    folder.unlock()
+    folder.create(CONFIG, scene, overwrite=True)
+    names = {path.name for path in folder.path.iterdir()}
+    assert names == {"letter.txt", "config.json", "command.txt", "scene.json"}
+
+
+def test_a_folder_in_use_is_refused(folder, scene):
+    with pytest.raises(RunError, match="another process"):
+        RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
+    folder.unlock()
+    RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
+
+
+def test_a_failed_write_leaves_the_old_file(folder):
+    folder.write_text("note.txt", "old")
+
+    def fail(part):
+        part.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        folder.write("note.txt", fail)
+    assert (folder.path / "note.txt").read_text() == "old"
+    assert not list(folder.path.glob(".part*"))
+
+
+def test_metrics_leave_cells_empty_where_there_is_no_value(folder):
+    folder.write_metrics(
+        [{"update": 1, "eval_time": float("nan")}, {"update": 2, "eval_time": 3.5}]
+    )
+    assert (folder.path / "metrics.csv").read_text().split() == ["update,eval_time", "1,", "2,3.5"]
+
+
+def test_checkpoint_survives_a_stop_between_the_renames(folder):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    assert not folder.load_checkpoint(net=target)
+    folder.save_checkpoint(net=source)
+    (folder.path / "checkpoint").rename(folder.path / "checkpoint.old")
+    assert folder.load_checkpoint(net=target)
+    assert torch.equal(source.weight, target.weight)
+    folder.save_checkpoint(net=source)
+    assert not (folder.path / "checkpoint.old").exists()
+
+
+def test_the_old_checkpoint_stays_until_the_new_one_is_whole(folder, monkeypatch):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    folder.save_checkpoint(net=source)
+    (folder.path / "checkpoint").rename(folder.path / "checkpoint.old")
+    removed = []
+    monkeypatch.setattr("shutil.rmtree", lambda path, **_: removed.append((path.name, where())))
+
+    def where():
+        return (folder.path / "checkpoint").exists()
+
+    folder.save_checkpoint(net=source)
+    assert ("checkpoint.old", False) not in removed
+    assert folder.load_checkpoint(net=target)
+
+
+def test_a_full_disk_keeps_the_old_checkpoint(folder, monkeypatch):
+    source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
+    folder.save_checkpoint(net=source)
+
+    def fail(self, path):
+        raise RuntimeError("unable to resize file")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("train.runs.Checkpoint.save", fail)
+        with pytest.raises(OSError, match="unable to resize"):
+            folder.save_checkpoint(net=target)
+    assert folder.load_checkpoint(net=target)
+    assert torch.equal(source.weight, target.weight)
+
+
+def test_first_ctrl_c_asks_second_one_ends():
+    with stop_on_ctrl_c() as stopped:
+        assert not stopped()
+        signal.raise_signal(signal.SIGINT)
+        assert stopped()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_resume_with_another_scene_is_refused(folder, scene):
+    folder.check_scene(scene, "scenario_1")
+    with pytest.raises(RunError, match="differs from other"):
+        folder.check_scene(Scene.find("scenario_2"), "other")

@@ -1,0 +1,1 @@
+"""Processes side by side, on this machine or a Ray cluster."""

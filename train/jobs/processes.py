@@ -1,0 +1,116 @@
+"""Programs in processes of their own that need not import everything anew.
+
+Importing torch, TorchRL and matplotlib takes longer than the training of an easy segment. A server
+process, multiprocessing's fork server, imports them once and never does anything else, so that a
+program forked from it is as good as one started by `python -m`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import runpy
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import forkserver
+from multiprocessing.connection import wait
+from types import ModuleType
+
+IMPORTED = ("train.segment", "train.mission", "train.fly", "mjcollect.render.path_figures")
+
+
+def warm_up() -> None:
+    """Let the server start to import, beside whatever this process does next."""
+    forkserver.set_forkserver_preload(list(IMPORTED))
+    forkserver.ensure_running()
+
+
+def importing_pool(workers: int) -> ProcessPoolExecutor:
+    """A pool of `workers` processes that import for themselves, leave Ctrl-C to this one, and end
+    with it, even with SIGKILL.
+    """
+    context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_settle)
+
+
+def _settle() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+class Program:
+    """`python -m program arguments`, running; ends with this process, even with SIGKILL."""
+
+    def __init__(self, program: str, arguments: Sequence[str]) -> None:
+        """Start it, in a session of its own: a Ctrl-C in the terminal does not reach it.
+
+        Args:
+            program: module. arguments: of its command line.
+        """
+        warm_up()
+        context = multiprocessing.get_context("forkserver")
+        with tempfile.NamedTemporaryFile(prefix="mjcollect-", delete=False) as file:
+            self._output = file.name
+        self._process = context.Process(
+            target=_run, args=(program, tuple(arguments), dict(os.environ), self._output)
+        )
+        with _no_main_module():
+            self._process.start()
+
+    def interrupt(self) -> None:
+        """Ctrl-C."""
+        if self._process.pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._process.pid, signal.SIGINT)
+
+    def result(self) -> tuple[int, str]:
+        """Wait for the end: exit code, and everything that was written to stdout and stderr."""
+        self._process.join()
+        with open(self._output, encoding="utf-8", errors="replace") as file:
+            output = file.read()
+        os.unlink(self._output)
+        assert self._process.exitcode is not None
+        return self._process.exitcode, output
+
+
+@contextlib.contextmanager
+def _no_main_module() -> Iterator[None]:
+    """Keep multiprocessing from importing this process's main module again in the new one."""
+    main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def ended(programs: Sequence[Program], timeout: float) -> list[Program]:
+    """Those of `programs` that have ended, after at most `timeout` seconds with none."""
+    sentinels = {program._process.sentinel: program for program in programs}
+    return [sentinels[ready] for ready in wait(list(sentinels), timeout) if isinstance(ready, int)]
+
+
+def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: str) -> None:
+    """What the forked process does."""
+    os.setsid()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with open(output, "w") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    os.environ.clear()
+    os.environ.update(env)
+    sys.argv = [program, *arguments]
+    sys.orig_argv = [sys.executable, "-m", program, *arguments]
+    sys.modules.pop(program, None)  # else runpy warns
+    runpy.run_module(program, run_name="__main__", alter_sys=True)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -1,0 +1,288 @@
+"""Run programs side by side: in local processes, or as tasks of a Ray cluster.
+
+A mission's segments are one `python -m train.segment` each, a reproduction's cells one
+`train.mission` or `train.fly`: processes of their own with seeds of their own, so the result does
+not depend on where, or beside what, they run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import dataclasses
+import io
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.random_streams import stream
+from train.jobs.processes import Program, ended
+from train.support.run_folder import RunError
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of a program, such as the training of a segment.
+
+    Attributes:
+        index: of the segment, or of whatever is run. arguments: of the program, without --out.
+        folder: where the run goes. program: its module.
+    """
+
+    index: int
+    arguments: tuple[str, ...]
+    folder: Path
+    program: str = "train.segment"
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a job ended: exit code, and the last line of its messages."""
+
+    job: Job
+    code: int
+    message: str
+
+
+def attempt_seed(seed: int, segment: int, attempt: int) -> int:
+    """Seed of the `attempt`-th training of a segment, from the mission's seed."""
+    name = f"segment {segment} attempt {attempt}"
+    return int(stream(seed, name).generate_state(1, np.uint32)[0])
+
+
+def learn_arguments(config: LearnConfig) -> list[str]:
+    """The settings as command line arguments."""
+    return settings_arguments(dataclasses.asdict(config))
+
+
+def settings_arguments(settings: Mapping[str, bool | float | str]) -> list[str]:
+    """Settings by name as command line arguments: `--name value`, or `--name` and `--no-name`."""
+    arguments = []
+    for name, value in settings.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            arguments.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            arguments += [f"--{flag}", str(value)]
+    return arguments
+
+
+class LocalWorkers:
+    """Runs jobs in up to `count` processes, which end with this one."""
+
+    def __init__(self, count: int) -> None:
+        """Nothing runs yet."""
+        self.count = count
+        self._waiting: deque[Job] = deque()
+        self._running: dict[Program, Job] = {}
+
+    def submit(self, job: Job) -> None:
+        """Queue a job."""
+        self._waiting.append(job)
+
+    def next_done(self, timeout: float) -> Done | None:
+        """The next finished job, or None after `timeout` seconds; starts those whose turn it is."""
+        while self._waiting and len(self._running) < self.count:
+            job = self._waiting.popleft()
+            started = Program(job.program, (*job.arguments, "--out", str(job.folder)))
+            self._running[started] = job
+        for program in ended(list(self._running), timeout):
+            code, output = program.result()
+            return Done(self._running.pop(program), code, _last_line(output))
+        return None
+
+    def stop(self) -> None:
+        """Let the running jobs save a checkpoint and end; start no further ones."""
+        self._waiting.clear()
+        for program in self._running:
+            program.interrupt()
+        for program in self._running:
+            program.result()
+        self._running.clear()
+
+
+def _end_with_parent() -> None:
+    """Have the kernel kill this process when its parent ends, even by SIGKILL (Linux)."""
+    pr_set_pdeathsig = 1
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _last_line(output: str) -> str:
+    lines = [line.strip() for line in output.replace("\r", "\n").splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+class RayWorkers:
+    """Runs each job as one task of a Ray cluster.
+
+    A task works in a folder of its node and sends it back, since nodes need not share a disk; what
+    a stopped mission had not received is trained again.
+    """
+
+    def __init__(self) -> None:
+        """Use the cluster of `connect_ray`."""
+        import ray
+
+        self._ray = ray
+        self._task = ray.remote(num_cpus=1, max_retries=2)(_run_packed)
+        self._jobs: dict[Any, Job] = {}
+
+    def submit(self, job: Job) -> None:
+        """Queue a job, with what its folder already holds."""
+        scene = Path(job.arguments[job.arguments.index("--scene") + 1]).read_text(encoding="utf-8")
+        self._jobs[self._task.remote(job.program, job.arguments, scene, pack(job.folder))] = job
+
+    def next_done(self, timeout: float) -> Done | None:
+        """The next finished job, or None after `timeout` seconds."""
+        ready, _ = self._ray.wait(list(self._jobs), num_returns=1, timeout=timeout)
+        if not ready:
+            return None
+        job = self._jobs.pop(ready[0])
+        code, message, packed = self._ray.get(ready[0])
+        unpack(packed, job.folder)
+        return Done(job, code, message)
+
+    def stop(self) -> None:
+        """Cancel what runs and leave the cluster."""
+        for task in self._jobs:
+            self._ray.cancel(task, force=True)
+        self._ray.shutdown()
+
+
+def need_ray() -> None:
+    """Check that Ray is installed.
+
+    Raises:
+        RunError: it is not.
+    """
+    try:
+        import ray  # noqa: F401
+    except ImportError:
+        raise RunError(
+            "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
+        ) from None
+
+
+def connect_ray(address: str, cpus: int = 0) -> None:
+    """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
+
+    Raises:
+        RunError: no cluster answers there, or it has fewer than `cpus` cores.
+    """
+    import ray
+
+    try:
+        ray.init(
+            address=None if address == "local" else address,
+            log_to_driver=False,
+            include_dashboard=False if address == "local" else None,
+        )
+    except (ConnectionError, ValueError) as error:
+        raise RunError(f"--ray: {address}: {error}; start the cluster, or use --workers") from None
+    there = int(ray.cluster_resources().get("CPU", 0))
+    if there < cpus:  # what is asked beyond it would wait for ever
+        ray.shutdown()
+        raise RunError(
+            f"--shards: {cpus}: the cluster at {address} has {there} cores, one for each shard; "
+            "use fewer"
+        )
+
+
+def _run_packed(
+    program: str, arguments: Sequence[str], scene: str, packed: bytes
+) -> tuple[int, str, bytes]:
+    """What a Ray task does: unpack, run, pack."""
+    with tempfile.TemporaryDirectory() as folder:
+        out, scene_file = Path(folder) / "run", Path(folder) / "scene.json"
+        scene_file.write_text(scene, encoding="utf-8")
+        unpack(packed, out)
+        at = list(arguments).index("--scene")
+        arguments = [*arguments[: at + 1], str(scene_file), *arguments[at + 2 :]]
+        command = [sys.executable, "-m", program, *arguments, "--out", str(out)]
+        done = subprocess.run(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            check=False,
+            preexec_fn=_end_with_parent,  # a cancelled task's
+        )
+        return done.returncode, _last_line(done.stdout), pack(out)
+
+
+def pack(folder: Path) -> bytes:
+    """A folder as tar bytes; empty if it is not there."""
+    if not folder.is_dir():
+        return b""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(folder, arcname=".")
+    return buffer.getvalue()
+
+
+def unpack(packed: bytes, folder: Path) -> None:
+    """Put what `pack` gave in place of a folder: it is whole or not there."""
+    if packed:
+        part = folder.with_name(f".part-{folder.name}")
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+            archive.extractall(part, filter="data")
+        shutil.rmtree(folder, ignore_errors=True)
+        part.rename(folder)
+
+
+Workers = LocalWorkers | RayWorkers
+
+
+@contextlib.contextmanager
+def open_workers(count: int, *, ray: bool) -> Iterator[Workers]:
+    """Local workers, or those of the Ray cluster connected to; stopped at the end."""
+    workers: Workers = RayWorkers() if ray else LocalWorkers(count)
+    try:
+        yield workers
+    finally:
+        workers.stop()
+
+
+def run_jobs(
+    workers: Workers,
+    jobs: Sequence[Job],
+    retry: Callable[[Done], Job | None],
+    tick: Callable[[], bool],
+) -> bool:
+    """Run all jobs, and those that `retry` gives for finished ones.
+
+    Args:
+        retry: called with each finished job. tick: called several times a second; True stops.
+
+    Returns:
+        Whether all were run.
+    """
+    for job in jobs:
+        workers.submit(job)
+    left = len(jobs)
+    while left:
+        if tick():
+            return False
+        done = workers.next_done(timeout=0.3)
+        if done is not None:
+            left -= 1
+            again = retry(done)
+            if again is not None:
+                workers.submit(again)
+                left += 1
+    return True

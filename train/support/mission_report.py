@@ -1,0 +1,222 @@
+"""What a flown mission leaves behind: mission.json, plots, report."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjcollect.envs.course import Course
+from mjcollect.envs.recording import Flight
+from mjcollect.render.path_figures import plot_path_3d, plot_path_top
+from mjcollect.render.time_figures import plot_learning, plot_speed
+from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
+from mjcollect.scene.order import legs, node_name
+from mjcollect.scene.scene import Scene
+from mjcollect.trajectory import SHIELD_FILE, save_shield, shield_intervals
+from mjcollect.verify import verify
+from train.support.run_folder import RunFolder, versions
+
+TRAINED = ("success_rate", "train_seconds", "env_steps", "updates")
+
+
+def mission_result(
+    course: Course,
+    order: tuple[int, ...],
+    order_method: str,
+    flight: Flight,
+    trained: Sequence[dict[str, Any] | None],
+    seed: int,
+) -> dict[str, Any]:
+    """The document of mission.json.
+
+    Args:
+        trained: segment.json of each segment, None where nothing was trained.
+    """
+    scene = course.scene
+    violations = [entry.to_dict() for entry in verify(scene, flight.trajectory, order)]
+    success = flight.success and not violations
+    bound, method = mission_bound(scene)
+    segments, begun, shares = [], 0.0, flight.shield_shares
+    for index, (frm, to) in enumerate(legs(order)):
+        reached = index < len(flight.arrivals)
+        taught = trained[index] or {}
+        segments.append(
+            {
+                "from": frm,
+                "to": to,
+                "time": flight.arrivals[index] - begun if reached else None,
+                "lower_bound": segment_bound(scene, frm, to),
+                "detour_time": detour_bound(scene, frm, to, course.guidance[index].length),
+                "success": reached and not any(v["segment"] == index for v in violations),
+                "shield_share": shares[index] if index < len(shares) else None,
+                **{key: taught.get(key) for key in TRAINED},
+            }
+        )
+        begun = flight.arrivals[index] if reached else begun
+    time = flight.trajectory.duration if success else None
+    spent = [entry["train_seconds"] for entry in segments if entry["train_seconds"] is not None]
+    return {
+        "scene": scene.name,
+        "order": list(order),
+        "order_method": order_method,
+        "success": success,
+        "mission_time": time,
+        "lower_bound": bound,
+        "bound_method": method,
+        "ratio": time / bound if time is not None and bound > 0 else None,
+        "detour_time": sum(entry["detour_time"] for entry in segments),
+        "contacts": flight.contacts,
+        "violations": violations,
+        "shield_share": flight.shield_share,
+        "segments": segments,
+        "train_seconds": sum(spent) if spent else None,
+        "seed": seed,
+        "versions": versions(),
+    }
+
+
+def write_flight(
+    folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight, *, plots: bool
+) -> None:
+    """trajectory.csv, shield.csv and, if wanted, the plots of the flight."""
+    scene = course.scene
+    write_record(folder, flight)
+    if not plots:
+        return
+    flown = (scene, flight.trajectory, order)
+    folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
+    folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
+    folder.write("speed.png", lambda part: plot_speed(part, *flown))
+
+
+def write_record(folder: RunFolder, flight: Flight) -> None:
+    """trajectory.csv, and in shield.csv when the shield acted."""
+    folder.write("trajectory.csv", flight.trajectory.save)
+    when = shield_intervals(flight.shielded, flight.slot)
+    folder.write(SHIELD_FILE, lambda part: save_shield(part, when))
+
+
+def write_learning(folder: RunFolder, segments: int) -> None:
+    """learning.png of all segments, from their metrics.csv."""
+    columns: dict[str, list[float]] = {}
+    for index in range(segments):
+        for row in read_metrics(folder.path / "segments" / str(index) / "metrics.csv"):
+            for name, value in {"segment": float(index), **row}.items():
+                columns.setdefault(name, []).append(value)
+    if columns:
+        folder.write("learning.png", lambda part: plot_learning(part, columns))
+
+
+def read_metrics(path: Path) -> list[dict[str, float]]:
+    """Rows of a metrics.csv, NaN for empty cells; none if the file is not there."""
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            {name: float(cell) if cell else float("nan") for name, cell in row.items()}
+            for row in csv.DictReader(file)
+        ]
+
+
+def report(
+    folder: RunFolder, scene: Scene, result: dict[str, Any], plots: bool, notes: Sequence[str] = ()
+) -> str:
+    """One page in Markdown: verdict, table of segments, and the pictures that the folder holds."""
+    video, learning = ((folder.path / name).is_file() for name in ("mission.mp4", "learning.png"))
+    lines = [f"# Mission in {scene.name}", ""]
+    if result["success"]:
+        lines.append(
+            f"**Success**: {len(result['order'])} items in **{result['mission_time']:.1f} s**, "
+            f"{_ratio(result['mission_time'], result['lower_bound'])} of the lower bound of "
+            f"{result['lower_bound']:.1f} s ({result['bound_method']}), "
+            f"{_ratio(result['mission_time'], result['detour_time'])} of the detour estimate of "
+            f"{result['detour_time']:.1f} s in this order."
+        )
+    else:
+        lines += ["**No success.**", ""]
+        lines += [f"- {describe(violation)}" for violation in result["violations"]]
+    if (share := result.get("shield_share")) is not None:
+        lines += ["", f"The shield changed the command in {share:.1%} of the slots."]
+    if "planner" in result:
+        lines += ["", f"Planner: {result['planner']}."]
+    if notes:
+        lines += ["", *(f"- {note}" for note in notes)]
+    lines += [
+        "",
+        f"Order ({result['order_method']}): depot, {', '.join(map(str, result['order']))}, depot. "
+        f"Seed {result['seed']}.",
+        "",
+        "| segment | from | to | time (s) | bound (s) | ratio | detour (s) | of detour "
+        "| shield | success rate | training (s) | updates |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for index, entry in enumerate(result["segments"]):
+        lines.append(
+            f"| {index} | {node_name(entry['from'])} | {node_name(entry['to'])} "
+            f"| {_number(entry['time'], 1)} | {_number(entry['lower_bound'], 2)} "
+            f"| {_ratio(entry['time'], entry['lower_bound'])} "
+            f"| {_number(entry['detour_time'], 2)} "
+            f"| {_ratio(entry['time'], entry['detour_time'])} "
+            f"| {_percent(entry.get('shield_share'))} "
+            f"| {_number(entry['success_rate'], 2)} | {_number(entry['train_seconds'], 0)} "
+            f"| {_number(entry['updates'], 0)} |"
+        )
+    lines += [
+        "",
+        "Success rate: share of starts all over the segment's start ball from which the policy "
+        "arrives, in the evaluation that chose it. Bound: no flight can be shorter. Detour: "
+        "estimate of the least time along the shortest free path. Shield: share of the slots in "
+        "which the command left no way to stop without touching anything, and was bent.",
+        "",
+        *(["[Video](mission.mp4)", ""] if video else []),
+    ]
+    if plots:
+        lines += [
+            "![Flown path](path_3d.png)",
+            "![Top view](path_top.png)",
+            "![Speed and acceleration](speed.png)",
+        ]
+    if learning:
+        lines.append("![Learning curves](learning.png)")
+    return "\n".join(lines) + "\n"
+
+
+def describe(violation: dict[str, Any]) -> str:
+    """A violation as a sentence."""
+    where = "" if violation["segment"] is None else f" in segment {violation['segment']}"
+    when = "" if violation["t"] is None else f" at {violation['t']:.2f} s"
+    value = "" if violation["value"] is None else f": {violation['value']:.4g}"
+    limit = "" if violation["limit"] is None else f" against a limit of {violation['limit']:.4g}"
+    return f"{violation['kind']}{where}{when}{value}{limit}"
+
+
+def outcome(result: dict[str, Any], folder: Path) -> str:
+    """The result in one line, for the user."""
+    where = os.path.relpath(folder)
+    if not result["success"]:
+        return f"no success ({cause(result)}): {where}"
+    ratio = "" if result["ratio"] is None else f", {result['ratio']:.3f} of the lower bound"
+    time = f"{result['mission_time']:.1f} s"
+    return f"success: {len(result['order'])} items in {time}{ratio}: {where}"
+
+
+def cause(result: dict[str, Any]) -> str:
+    """Why a mission is no success, in one sentence: what ended it rather than what it missed."""
+    causes = ("contact", "bounds", "speed", "acceleration", "timestep", "start")
+    violations = sorted(result["violations"], key=lambda v: v["kind"] not in causes)
+    return describe(violations[0]) if violations else "not finished"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
+def _ratio(value: float | None, of: float) -> str:
+    return "-" if value is None or of <= 0 else f"{value / of:.3f}"

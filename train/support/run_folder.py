@@ -1,0 +1,261 @@
+"""Run folders: opened only when safe, written so that they are never half there, and resumable."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import fcntl
+import importlib.metadata
+import json
+import os
+import shlex
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from torchrl.checkpoint import Checkpoint
+
+from mjcollect.scene.scene import Scene
+
+VERSIONED = (
+    "mjcollect",
+    "mujoco",
+    "numba",
+    "clarabel",
+    "dm-control",
+    "torch",
+    "torchrl",
+    "tensordict",
+    "numpy",
+    "elkai",
+)
+# Everything a run writes; --overwrite removes these and nothing else.
+RUN_FILES = (
+    "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
+    "shield.csv", "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png",
+    "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
+    "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
+)  # fmt: skip
+BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
+SPACE = 1_000_000  # bytes; with less a run is not begun
+
+
+class RunError(Exception):
+    """The run cannot start as asked. The message names the field, the value and the fix."""
+
+
+def check_writable(folder: Path, flag: str) -> None:
+    """Refuse a folder, there or not yet, that cannot be written to, before any work.
+
+    Raises:
+        RunError: naming the `flag` that named the folder.
+    """
+    with _usable(folder, flag):
+        parent = folder
+        while not parent.exists():
+            parent = parent.parent
+        with tempfile.TemporaryFile(dir=parent) as file:  # a full disk takes an empty file
+            file.write(bytes(SPACE))
+
+
+@contextlib.contextmanager
+def _usable(folder: Path, flag: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise RunError(
+            f"{flag}: {folder}: cannot be used ({error.strerror}); choose another folder"
+        ) from None
+
+
+class RunFolder:
+    """One run's folder.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        """Name a folder; nothing is touched yet."""
+        self.path = Path(path)
+        self._lock: int | None = None
+
+    def check(self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool) -> None:
+        """Refuse an unusable folder before any work.
+
+        Args:
+            resume: whether to go on with what is there; None where the program cannot.
+
+        Raises:
+            RunError: not a folder, not empty without --resume or --overwrite, not writable, or to
+                be resumed with other settings.
+        """
+        if resume and overwrite:
+            raise RunError("--resume and --overwrite exclude each other: give one of them")
+        with _usable(self.path, "--out"):
+            self._check_usable(config, resume, overwrite)
+        check_writable(self.path, "--out")
+
+    def _check_usable(self, config: dict[str, Any], resume: bool | None, overwrite: bool) -> None:
+        if self.path.exists() and not self.path.is_dir():
+            raise RunError(f"--out: {self.path}: is a file; name a folder")
+        if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
+            if not resume:
+                go_on = "" if resume is None else "--resume to go on with it, "
+                raise RunError(
+                    f"--out: {self.path}: is not empty; give {go_on}--overwrite to start anew, or "
+                    "another folder"
+                )
+            self._check_same(config)
+
+    def _check_same(self, config: dict[str, Any]) -> None:
+        saved = self.read_json("config.json")
+        if saved is None:
+            if all(entry.name.startswith(BEGINNING) for entry in self.path.iterdir()):
+                return  # stopped before config.json, which `create` writes last
+            raise RunError(
+                f"--resume: {self.path}: holds no config.json of a run; name the run's folder"
+            )
+        for key in sorted(saved.keys() | config.keys()):
+            if saved.get(key) != config.get(key):
+                raise RunError(
+                    f"--resume: {key}: {config.get(key)!r} differs from {saved.get(key)!r} in "
+                    f"{self.path / 'config.json'}; give the same value, or another --out"
+                )
+
+    def check_scene(self, scene: Scene, name: str) -> None:
+        """Refuse to resume with another scene than the folder's.
+
+        Args:
+            name: how the user gave the scene.
+
+        Raises:
+            RunError: they differ.
+        """
+        saved = self.path / "scene.json"
+        if saved.is_file() and Scene.load(saved) != scene:
+            raise RunError(f"--resume: {saved} differs from {name}; give the run's own scene")
+
+    def create(self, config: dict[str, Any], scene: Scene | None, *, overwrite: bool) -> None:
+        """Make the folder with config.json, command.txt and, if there is one, scene.json.
+
+        Raises:
+            RunError: the folder cannot be made.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
+        self.lock()
+        if overwrite:
+            for name in RUN_FILES:
+                target = self.path / name
+                if target.is_dir():
+                    shutil.rmtree(target)
+                else:
+                    target.unlink(missing_ok=True)
+        if scene is not None:
+            self.write("scene.json", scene.save)
+        self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
+        self.write_json("config.json", config)
+
+    def lock(self) -> None:
+        """Keep other processes from writing here until `unlock` or the end of this one.
+
+        Raises:
+            RunError: another process writes here.
+        """
+        self._lock = os.open(self.path, os.O_RDONLY)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self.unlock()
+            raise RunError(
+                f"--out: {self.path}: another process is writing to it; wait for it or stop it"
+            ) from None
+
+    def unlock(self) -> None:
+        """Let other processes write here."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def write(self, name: str, save: Callable[[Path], object]) -> None:
+        """Write a file through a temporary one and a rename: it is whole or not there."""
+        target = self.path / name
+        # Same ending as the target: some writers choose the format by it.
+        part = target.with_name(f".part-{target.name}")
+        try:
+            save(part)
+            os.replace(part, target)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write text; see `write`."""
+        self.write(name, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, document: dict[str, Any]) -> None:
+        """Write JSON; see `write`."""
+        self.write_text(name, json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+    def read_json(self, name: str) -> dict[str, Any] | None:
+        """Read JSON; None if it is not there."""
+        path = self.path / name
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+    def write_metrics(self, rows: Sequence[dict[str, float]]) -> None:
+        """Write metrics.csv, one row per evaluation; empty cells where there is no value."""
+
+        def save(part: Path) -> None:
+            with part.open("w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+                writer.writeheader()
+                for row in rows:
+                    writer.writerow({k: "" if v != v else v for k, v in row.items()})
+
+        if rows:
+            self.write("metrics.csv", save)
+
+    # Checkpoints
+
+    def save_checkpoint(self, **components: Any) -> None:
+        """Write checkpoint/ beside the old one, then swap: one of them is always whole."""
+        new, old = self.path / ".part-checkpoint", self.path / "checkpoint.old"
+        current = self.path / "checkpoint"
+        for stale in self.path.glob(".*part-checkpoint*"):  # TorchRL's own staging folder too
+            shutil.rmtree(stale, ignore_errors=True)
+        try:
+            Checkpoint(**components).save(new)
+        except RuntimeError as error:  # torch's way to say that the disk is full
+            raise OSError(f"{current}: cannot be written: {error}") from error
+        if current.exists():
+            shutil.rmtree(old, ignore_errors=True)
+            current.rename(old)
+        new.rename(current)
+        shutil.rmtree(old, ignore_errors=True)
+
+    def load_checkpoint(self, **components: Any) -> bool:
+        """Restore the components from the last whole checkpoint; False if there is none."""
+        for name in ("checkpoint", "checkpoint.old"):
+            if (self.path / name).is_dir():
+                Checkpoint(**components).load(self.path / name)
+                return True
+        return False
+
+
+def default_folder(kind: str, *parts: str) -> Path:
+    """`runs/<kind>/<parts joined by dashes>`."""
+    return Path("runs") / kind / "-".join(parts)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a result depends on."""
+    found = {"python": sys.version.split()[0]}
+    for package in VERSIONED:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[package] = importlib.metadata.version(package)
+    return found

@@ -1,0 +1,66 @@
+"""The policy that learning goes on from, as a flag names it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from mjcollect.envs.batch import Simulations
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import UNREADABLE, TrainedPolicy, weights_file
+from train.support.run_folder import RunError
+
+
+def start_from(
+    path: Path, learn: LearnConfig, flag: str = "--weights"
+) -> tuple[TrainedPolicy, LearnConfig]:
+    """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
+
+    Its observation and width are taken over. Unless `learn` asks for something else than usual, no
+    update is made where it is good enough.
+
+    Args:
+        flag: that named the file.
+
+    Raises:
+        RunError: there is no such policy, or `learn` asks for another observation or width.
+    """
+    try:
+        policy = TrainedPolicy.load(weights_file(path))
+    except UNREADABLE as error:
+        raise RunError(
+            f"{flag}: {path}: holds no policy ({type(error).__name__}); name a "
+            "policy.safetensors of train.generalist or a segment's policy.pt"
+        ) from None
+    usual = LearnConfig()
+    for field, value in (("observation", policy.observation), ("width", policy.width)):
+        asked = getattr(learn, field)
+        if asked not in (value, getattr(usual, field)):
+            raise RunError(
+                f"--{field}: {asked}: the policy of {flag} {path} has {value}; leave one out"
+            )
+    least = learn.least_updates
+    return policy, replace(
+        learn,
+        observation=policy.observation,
+        width=policy.width,
+        least_updates=0 if least == usual.least_updates else least,
+    )
+
+
+def check_size(policy: TrainedPolicy, course: Course, flag: str = "--weights") -> None:
+    """Refuse a policy that takes another number of inputs than its observation has here.
+
+    Raises:
+        RunError: naming the `flag` that named the policy.
+    """
+    simulations = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
+    size, takes = simulations.observe().shape[1], policy.inputs
+    simulations.close()
+    if takes != size:
+        raise RunError(
+            f"{flag}: a policy of {takes} inputs, but the observation {policy.observation} has "
+            f"{size} here; name one of this version and for such scenes, or learn from scratch"
+        )
