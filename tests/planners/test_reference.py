@@ -176,7 +176,9 @@ def test_stops_anywhere_in_their_balls_save_slots():
 
 
 def test_without_any_solution_the_mpc_is_flown(mission_course, monkeypatch):
-    monkeypatch.setattr("mjcollect.planners.reference.mission_program.Program._solve", lambda *_: None)
+    monkeypatch.setattr(
+        "mjcollect.planners.reference.mission_program.Program._solve", lambda *_: None
+    )
     mpc = rehearse(mission_course, Mpc(mission_course).action)
     assert mpc is not None  # by the guidance law, every slot of it
     reference = Reference(mission_course)

@@ -266,5 +266,7 @@ def test_learning_with_next_to_nothing(tmp_path: Path) -> None:
 
 
 def test_pyplot_is_not_touched() -> None:
-    code = "import sys, mjcollect.render.path_figures; assert 'matplotlib.pyplot' not in sys.modules"
+    code = (
+        "import sys, mjcollect.render.path_figures; assert 'matplotlib.pyplot' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

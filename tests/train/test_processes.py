@@ -57,7 +57,7 @@ def test_ends_with_its_parent(tmp_path):
     parent = f"""
 import os, pathlib, signal, sys, time
 sys.path[:0] = [{str(tmp_path)!r}, {os.getcwd()!r}]
-from train.processes import Program
+from train.jobs.processes import Program
 Program("waits", ())
 while not pathlib.Path({str(tmp_path / "pid")!r}).exists():
     time.sleep(0.05)

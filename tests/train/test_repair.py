@@ -64,7 +64,8 @@ def test_flies_a_scene_without_training(scene_file, weights, tmp_path):
 
 def test_the_shipped_policy_flies_by_default(scene_file, pupil_file, tmp_path, monkeypatch):
     """Whichever it is: here another stands in its place."""
-    monkeypatch.setattr("train.policies.weights_file", lambda path: {SHIPPED: pupil_file}[path])
+    for place in ("mjcollect.learning.policy", "train.support.starting_policy"):
+        monkeypatch.setattr(f"{place}.weights_file", lambda path: {SHIPPED: pupil_file}[path])
     out = tmp_path / "out"
     arguments = ["--scene", str(scene_file), "--out", str(out), "--no-video", "--no-plots"]
     fields = tmp_path / "fields"

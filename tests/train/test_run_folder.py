@@ -142,7 +142,7 @@ def test_a_full_disk_keeps_the_old_checkpoint(folder, monkeypatch):
         raise RuntimeError("unable to resize file")
 
     with monkeypatch.context() as patch:
-        patch.setattr("train.runs.Checkpoint.save", fail)
+        patch.setattr("train.support.run_folder.Checkpoint.save", fail)
         with pytest.raises(OSError, match="unable to resize"):
             folder.save_checkpoint(net=target)
     assert folder.load_checkpoint(net=target)
