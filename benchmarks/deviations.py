@@ -164,7 +164,7 @@ def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -
             changed = with_slot(Scene.find(scene), slot)
             Course.segment(changed, plan_order(changed, "lkh"), segment).save_guidance(guidance)
         jobs = [
-            Job(i, (*cell.arguments, "--guidance", str(guidance)), folder / str(i))
+            Job(i, (*cell.arguments, "--guidance-cache", str(guidance)), folder / str(i))
             for i, cell in enumerate(todo)
         ]
 

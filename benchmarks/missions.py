@@ -132,7 +132,7 @@ def memory(pid: int) -> float:
 
 
 PROGRAMS = {
-    "policy": ("train.mission", "--from-scratch"),
+    "policy": ("train.mission", "--policy", "none"),
     "finetuned": ("train.mission",),
     "shipped": ("train.fly", "--no-plots"),
 }

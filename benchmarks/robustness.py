@@ -40,8 +40,8 @@ from mjcollect.render.time_figures import save as save_figure
 from mjcollect.scene.bounds import detour_bound
 from train.generalist import DISTURBANCE, HELD_OUT
 from train.jobs.processes import importing_pool
+from train.jobs.segment_pool import draw_segment
 from train.reproduction.tables import summary as mean_and_interval
-from train.support.segment_pool import draw_segment
 
 LEVELS: dict[str, tuple[float, ...]] = {
     "wind": (0.0, 1.0, 2.0, 3.0, 4.0, 5.0),

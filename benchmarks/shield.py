@@ -26,7 +26,7 @@ from benchmarks.results import save
 from mjcollect.generate import LAYOUTS
 from mjcollect.learning.policy import SHIPPED, policy_digest, weights_file
 from train.generalist import HELD_OUT
-from train.support.segment_pool import draw_segment
+from train.jobs.segment_pool import draw_segment
 
 FIRST = HELD_OUT + 60_000
 # Slots for which a command is held before braking, and shares of it beside full braking; 1 is the

@@ -32,7 +32,7 @@ from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, wei
 from mjcollect.scene.bounds import detour_bound
 from train.generalist import HELD_OUT
 from train.jobs.processes import importing_pool
-from train.support.segment_pool import draw_segment
+from train.jobs.segment_pool import draw_segment
 
 FIRST = HELD_OUT + 20_000
 MARK = 1.08  # of detour time

@@ -8,9 +8,11 @@ python -m train.fly --run DIR
 from __future__ import annotations
 
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,6 +24,8 @@ from mjcollect.planners.mpc import fly_mpc
 from mjcollect.planners.reference.reference import NoFlight, Reference
 from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.scene import Scene
+from train import segment
+from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_report import (
     mission_result,
@@ -30,9 +34,13 @@ from train.support.mission_report import (
     write_flight,
     write_learning,
 )
-from train.support.repair import Stopped, fly_unseen
+from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
 from train.support.starting_policy import check_size, start_from
+
+
+class Stopped(Exception):
+    """Ctrl-C ended a training."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +55,14 @@ class Args:
     """policy: the run's trained policies, or --policy. mpc: model predictive control. reference:
     the whole mission planned ahead in the fewest slots. guidance: the law with no learning."""
     policy: Path | None = None
-    """Policy that flies --scene: a policy.safetensors or policy.pt; default: the one shipped."""
+    """Policy that flies --scene: shipped (default), or a file: policy.safetensors or policy.pt."""
     finetune: int = 2_000
     """Updates with which a segment is learned on in which that policy fails; 0 for none."""
     order: str | None = None
     """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
     """Folder for the results; default: runs/fly/<scene's or run's name>-<planner>-seed<N>."""
-    guidance: Path | None = None
+    guidance_cache: Path | None = None
     """Folder of guidance fields: what fits is taken from it, what is missing is built and added."""
     seed: int | None = None
     """Seed of the random order for --scene and of --finetune; default 0."""
@@ -78,22 +86,19 @@ def fly_mission(args: Args) -> int:
     """Fly, judge, draw. Raises only before anything is written."""
     if args.run is None and args.scene is None:
         raise RunError("give --scene FILE to fly it at once, or --run DIR of a finished mission")
-    if args.seed is not None and args.seed < 0:
-        raise RunError(f"--seed: {args.seed}: must not be negative")
-    if args.finetune < 0:
-        raise RunError(f"--finetune: {args.finetune}: must not be negative")
+    check_least(args, finetune=0, **({} if args.seed is None else {"seed": 0}))
     if args.policy is not None and (args.run is not None or args.planner != "policy"):
         raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
     if args.run is None and args.planner == "policy" and args.policy is None:
         args = replace(args, policy=SHIPPED)
-    policy = None if args.policy is None else start_from(args.policy, LearnConfig(), "--policy")[0]
+    policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     shield = args.shield and args.planner in ("policy", "guidance")
     trained: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
         segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
         taught = args.planner == "policy"  # the others owe nothing to the training
-        trained = [segment.read_json("segment.json") if taught else None for segment in segments]
+        trained = [own.read_json("segment.json") if taught else None for own in segments]
         learned = (RunFolder(args.run).read_json("config.json") or {}).get("learn", {})
         shield = shield and (not taught or learned.get("shield", False))
     else:
@@ -114,28 +119,29 @@ def fly_mission(args: Args) -> int:
         "shield": shield,
     }
     folder.check(config, overwrite=args.overwrite)
-    if args.guidance is not None:
-        check_writable(args.guidance, "--guidance")
-    course = Course.mission(scene, order, args.guidance)
-    if args.guidance is not None:
-        course.save_guidance(args.guidance)
+    if args.guidance_cache is not None:
+        check_writable(args.guidance_cache, "--guidance-cache")
+    course = Course.mission(scene, order, args.guidance_cache)
+    if args.guidance_cache is not None:
+        course.save_guidance(args.guidance_cache)
     notes: list[str] = []
     if args.policy is not None and policy is not None:
-        check_size(policy, course, "--policy")
+        check_size(policy, course)
         folder.create(config, scene, overwrite=args.overwrite)
         try:
-            made = fly_unseen(
-                course, order, policy, args.policy, folder, args.finetune, seed, shield
+            train = partial(_train, args, course, order, folder, seed, shield)
+            repaired = fly_and_repair(
+                course, order, policy, train if args.finetune else None, shield
             )
         except Stopped:
             say("stopped; start again with --overwrite")
             return INTERRUPTED
-        flight, trained, notes = made.flight, made.trained, made.notes
-        args = replace(args, planner=made.planner)
+        flight, trained, notes = repaired.flight, repaired.trained, repaired.notes
+        args = replace(args, planner=repaired.planner)
         for note in notes:
             say(note)
     elif args.planner == "policy":
-        policies = [_load(segment.path / "policy.pt") for segment in segments]
+        policies = [_load(own.path / "policy.pt") for own in segments]
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly(course, policies, policies[0].observation, shield=shield)
     elif args.planner == "mpc":
@@ -153,6 +159,37 @@ def fly_mission(args: Args) -> int:
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course, shield=shield)
     return _finish(folder, course, order, method, flight, trained, seed, args, notes)
+
+
+def _train(
+    args: Args, course: Course, order: tuple[int, ...], folder: RunFolder, seed: int, shield: bool,
+    index: int,
+) -> tuple[TrainedPolicy, dict[str, Any]]:  # fmt: skip
+    """Go on learning from `--policy` in one segment; the policy and segment.json.
+
+    Raises:
+        Stopped: by Ctrl-C.
+    """
+    assert args.policy is not None
+    own = RunFolder(folder.path / "segments" / str(index))
+    learn = LearnConfig(
+        updates=args.finetune,
+        extra_updates=0,
+        eval_every=max(args.finetune // 10, 1),
+        shield=shield,
+    )
+    with tempfile.TemporaryDirectory() as guidance:
+        course.save_guidance(Path(guidance))
+        training = segment.Args(
+            scene=str(folder.path / "scene.json"), order=",".join(map(str, order)), segment=index,
+            out=own.path, seed=seed, policy=args.policy, guidance_cache=Path(guidance),
+            video=False, overwrite=True, learn=learn,
+        )  # fmt: skip
+        if segment.train_segment(training) == INTERRUPTED:
+            raise Stopped
+    result = own.read_json("segment.json")
+    assert result is not None
+    return TrainedPolicy.load(own.path / "policy.pt"), result
 
 
 def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import torch
 import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
@@ -30,11 +29,12 @@ from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
 from mjcollect.learning.random_streams import stream
 from mjcollect.learning.trainer import Trainer, make_simulations
+from train.jobs.segment_pool import build_all, draw_segment
 from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
 from train.jobs.workers import connect_ray, need_ray
+from train.support.arguments import check_device, check_least
 from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
 from train.support.run_folder import RunError, RunFolder, default_folder, versions
-from train.support.segment_pool import build_all, draw_segment
 from train.support.training_loop import learn_to_the_end
 
 HELD_OUT = 1_000_000  # number of the first segment that is never trained on
@@ -218,16 +218,12 @@ def _check(args: Args) -> None:
     Raises:
         RunError: naming field, value and fix.
     """
-    if args.device == "cuda" and not torch.cuda.is_available():
-        raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
-    if args.seed < 0:
-        raise RunError(f"--seed: {args.seed}: must not be negative")
+    check_device(args.device)
+    check_least(
+        args, seed=0, workers=1, segments=1, held_out=1, courses=1, rotate=1, checkpoint_every=1
+    )
     if not 0.0 <= args.disturbed <= 1.0:
         raise RunError(f"--disturbed: {args.disturbed}: must lie between 0 and 1")
-    for field in ("workers", "segments", "held_out", "courses", "rotate", "checkpoint_every"):
-        if getattr(args, field) < 1:
-            name = field.replace("_", "-")
-            raise RunError(f"--{name}: {getattr(args, field)}: must be at least 1")
     if not 0 <= args.shards <= args.learn.envs:
         raise RunError(f"--shards: {args.shards}: must lie between 0 and --envs {args.learn.envs}")
     if args.ray is not None:

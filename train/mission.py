@@ -2,7 +2,7 @@
 
 python -m train.mission --scene FILE --out DIR --workers 2
 
-Learning goes on from the policy that is shipped; with --from-scratch from nothing, as in the paper.
+Learning goes on from the policy that is shipped; with --policy none from nothing, as in the paper.
 """
 
 from __future__ import annotations
@@ -13,14 +13,12 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any, Literal
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
 from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.scene import Scene
 from train.jobs.processes import warm_up
@@ -34,6 +32,7 @@ from train.jobs.workers import (
     open_workers,
     run_jobs,
 )
+from train.support.arguments import TrainingArgs, check_device, check_least
 from train.support.command_line import INTERRUPTED, run_program, say, stop_on_ctrl_c
 from train.support.mission_display import MissionDisplay
 from train.support.mission_report import (
@@ -43,7 +42,7 @@ from train.support.mission_report import (
     write_flight,
     write_learning,
 )
-from train.support.presets import PresetName, with_preset, with_slot
+from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder
 from train.support.starting_policy import check_size, start_from
 
@@ -55,50 +54,20 @@ class TrainingError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(TrainingArgs):
     """Order the items, learn every segment, fly the whole mission, verify it, film it."""
 
-    scene: str = "scenario_1"
-    """Scene file, or the name of a bundled scene."""
-    order: str = "lkh"
-    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    policy: Path = SHIPPED
+    """Policy to go on from: shipped, none (learn from nothing, as the paper does), or a file:
+    policy.safetensors or policy.pt."""
     cost: Literal["distance", "time"] = "distance"
     """What lkh and exact minimise: straight distance (the paper), or least time round obstacles."""
-    out: Path | None = None
-    """Run folder; default: runs/mission/<scene name>-<order>-seed<N>, with the preset's name, or
-    `scratch`, before the seed."""
-    seed: int = 0
-    """Seed of every random stream; each segment gets one of its own from it."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where the networks live."""
     workers: int = 2
     """Local processes that train segments side by side."""
     ray: str | None = None
     """Address of a Ray cluster to train on instead: host:port, auto, or local."""
     retries: int = 2
     """Further trainings, with other seeds, of a segment that is not flown from everywhere."""
-    resume: bool = False
-    """Go on with the run in the folder."""
-    overwrite: bool = False
-    """Start anew in a folder that is not empty."""
-    video: bool = True
-    """Render mission.mp4, and each segment's video up to 10 items."""
-    plots: bool = True
-    """Draw the plots, also each segment's."""
-    checkpoint_every: int = 1000
-    """Updates between the checkpoints of a segment."""
-    weights: Path | None = SHIPPED
-    """Policy to start from: a policy.safetensors, a policy.pt, or the one shipped."""
-    from_scratch: bool = False
-    """Learn every segment from nothing, as the paper does."""
-    preset: PresetName | None = None
-    """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
-    slot: float | None = None
-    """Seconds of a slot (the paper's delta) in place of the scene file's, such as 0.2 or 1.0."""
-    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
-        default_factory=LearnConfig
-    )
-    """Settings of the learner."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -127,11 +96,11 @@ def train_mission(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
-        "weights": None if args.weights is None else policy_digest(args.weights),
+        "policy": None if policy is None else policy_digest(args.policy),
         "retries": args.retries,
         "learn": dataclasses.asdict(args.learn),
     }
-    how = [args.preset] if args.preset else ["scratch"] if args.from_scratch else []
+    how = [args.preset] if args.preset else ["scratch"] if args.policy == NO_POLICY else []
     folder = RunFolder(
         args.out or default_folder("mission", scene.slug, args.order, *how, f"seed{args.seed}")
     )
@@ -175,40 +144,31 @@ def train_mission(args: Args) -> int:
 
 
 def _check(args: Args) -> None:
-    for field, least in (("seed", 0), ("workers", 1), ("retries", 0), ("checkpoint_every", 1)):
-        if getattr(args, field) < least:
-            name = field.replace("_", "-")
-            raise RunError(f"--{name}: {getattr(args, field)}: must be at least {least}")
-    if args.device == "cuda":
-        import torch
-
-        if not torch.cuda.is_available():
-            raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
+    check_least(args, seed=0, workers=1, retries=0, checkpoint_every=1)
+    check_device(args.device)
     if args.ray is not None:
         need_ray()
-    if args.ray is not None and not args.from_scratch and args.weights not in (None, SHIPPED):
-        raise RunError(
-            f"--weights: {args.weights}: the nodes of --ray have the policy `shipped` only; leave "
-            "one of the two out"
-        )
-    if args.from_scratch and args.weights not in (None, SHIPPED):
-        raise RunError(f"--weights: {args.weights}: excludes --from-scratch; give one of them")
+        if args.policy not in (NO_POLICY, SHIPPED):
+            raise RunError(
+                f"--policy: {args.policy}: the nodes of --ray have the policy `shipped` only; "
+                "leave one of the two out"
+            )
 
 
 def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
     """With the settings of the policy to start from, and that policy; or with none."""
     usual, learn = LearnConfig(), args.learn
-    if args.weights == SHIPPED and not args.from_scratch:
+    if args.policy == SHIPPED:
         shipped = start_from(SHIPPED, usual)[0]
         for field in ("observation", "width"):
             value, own = getattr(learn, field), getattr(shipped, field)
             if value not in (getattr(usual, field), own):
                 say(f"--{field}: {value}: not that of the policy shipped; learning from scratch")
-                args = dataclasses.replace(args, from_scratch=True)
+                args = dataclasses.replace(args, policy=NO_POLICY)
                 break
-    if args.from_scratch or args.weights is None:
-        return dataclasses.replace(args, weights=None), None
-    policy, learn = start_from(args.weights, learn)
+    if args.policy == NO_POLICY:
+        return args, None
+    policy, learn = start_from(args.policy, learn)
     return dataclasses.replace(args, learn=learn), policy
 
 
@@ -243,9 +203,9 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
             *learn_arguments(args.learn),
-            "--guidance", str((folder.path / "guidance").resolve()),
+            "--guidance-cache", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
-            *_from_weights(args.weights, attempt),
+            *_from_policy(args.policy, attempt),
         ]  # fmt: skip
         return Job(index, tuple(arguments), segment.path)
 
@@ -269,11 +229,11 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
         return run_jobs(workers, jobs, retry, tick)
 
 
-def _from_weights(weights: Path | None, attempt: int) -> list[str]:
-    """Arguments of a segment's training; what did not do from the weights is learned anew."""
-    if weights is None or attempt > 0:
+def _from_policy(policy: Path, attempt: int) -> list[str]:
+    """Arguments of a segment's training; what did not do from the policy is learned anew."""
+    if policy == NO_POLICY or attempt > 0:
         return []
-    return ["--weights", str(weights if weights == SHIPPED else weights.resolve())]
+    return ["--policy", str(policy if policy == SHIPPED else policy.resolve())]
 
 
 def _perfect(result: dict[str, Any]) -> bool:

@@ -1,22 +1,24 @@
-"""Every table and figure of the paper with one command, and what became of its claims.
+"""Every table and figure of the paper with one command.
 
     python -m train.reproduce --quick --out DIR
     python -m train.reproduce --out DIR --workers 8 --resume
 
 Flies every cell (scene, visiting order, planner, training seed) that the folder does not hold yet,
 each as a `train.mission` or `train.fly` of its own, then writes results.json, the figures and
-reproduction.md.
+reproduction.md. What became of the paper's claims is written by hand: docs/reproduction.md.
 """
 
 from __future__ import annotations
 
+import contextlib
+import re
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -24,11 +26,12 @@ from mjcollect.scene.order import MAX_EXACT, TourError, plan_order
 from train.jobs.workers import connect_ray, need_ray
 from train.reproduction.compare import differences, load_cells
 from train.reproduction.document import document
+from train.reproduction.figures import draw
 from train.reproduction.page import page
-from train.reproduction.pictures import draw
-from train.reproduction.plan import PARTS, PLANNERS, Cell, Plan, Sizes, make_plan
+from train.reproduction.plan import PARTS, PLANNERS, Cell, Part, Plan, Planner, Sizes, make_plan
 from train.reproduction.prepare import note_machine, time_orders, write_scenes
-from train.reproduction.running import Settings, fly_cells, result_of
+from train.reproduction.running import fly_cells, result_of
+from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.run_folder import RunError, RunFolder
 
@@ -36,8 +39,7 @@ QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, fi
 QUICK_TRAINING = ("--updates", "300", "--extra-updates", "0", "--retries", "0")
 OUTPUTS = ("cells", "scenes", "config.json", "command.txt", "orders.json", "machines.json",
            "results.json", "reproduction.md")  # fmt: skip
-Part = Literal["scenarios", "sweep", "random"]
-Planner = Literal["policy", "mpc", "guidance", "reference"]
+CELL_NAME = re.compile(rf"(.+)-({'|'.join(PLANNERS)})-([a-z0-9.]+)(?:-seed(\d+))?", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,11 @@ class Args:
     """Regenerate every table and figure of the paper."""
 
     quick: bool = False
-    """Few scenes and a short training: minutes on two cores, to see that everything works."""
+    """Fly few scenes after a short training: minutes on two cores, to see that all works."""
     out: Path | None = None
-    """Folder for cells and results; default: runs/reproduce, or runs/reproduce-quick."""
+    """Folder for flights and results; default: runs/reproduce, or runs/reproduce-quick."""
     workers: int = 2
-    """Flights side by side, each in a process of its own."""
+    """Number of flights side by side, each in a process of its own."""
     ray: str | None = None
     """Address of a Ray cluster to fly on instead: host:port, auto, or local."""
     resume: bool = False
@@ -57,23 +59,23 @@ class Args:
     overwrite: bool = False
     """Start anew in a folder that is not empty."""
     seed: int = 0
-    """Training seeds and random orders count up from it."""
-    parts: tuple[Part, ...] = PARTS  # type: ignore[assignment]
-    """Which parts to fly; the page shows whatever the folder holds."""
-    planners: tuple[Planner, ...] = PLANNERS  # type: ignore[assignment]
-    """Which planners fly."""
+    """First seed: those of trainings and of random orders count up from it."""
+    parts: tuple[Part, ...] = PARTS
+    """Parts of the paper to fly; the page shows whatever the folder holds."""
+    planners: tuple[Planner, ...] = PLANNERS
+    """Planners to fly."""
     only: tuple[str, ...] = ()
-    """Fly only these cells, by the names in results.json: to check some of another run's."""
+    """Names of the only flights to make, as in results.json: to check some of another run's."""
     against: Path | None = None
-    """Another run's results.json: compare the flights with it; exit code 1 if one differs."""
+    """Another run's results.json to compare the flights with; exit code 1 if one differs."""
     training_seeds: int | None = None
-    """Training seeds in scenarios 1 and 2 (3; with --quick 1)."""
+    """Number of trainings, each with its own seed, in scenarios 1 and 2 (3; with --quick 1)."""
     floating: int | None = None
-    """Random scenes of floating boxes (20; with --quick 1)."""
+    """Number of random scenes with floating boxes (20; with --quick 1)."""
     city: int | None = None
-    """Random scenes of grounded boxes (6; with --quick 1)."""
+    """Number of random scenes with boxes on the ground (6; with --quick 1)."""
     items: int | None = None
-    """Items in each random scene (8; with --quick 3)."""
+    """Number of items in each random scene (8; with --quick 3)."""
     mission_arguments: Annotated[str, tyro.conf.arg(metavar="'...'")] = ""
     """Further arguments of train.mission, such as --mission-arguments="--updates 200"."""
     keep: bool = False
@@ -81,12 +83,16 @@ class Args:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program; the exit code of the contract."""
+    """Run the program and return its exit code."""
     return run_program("train.reproduce", Args, reproduce, argv)
 
 
 def reproduce(args: Args) -> int:
-    """Plan, fly, count, draw. Raises only before anything is written."""
+    """Plan, fly, count and draw; the exit code is returned.
+
+    Raises:
+        RunError: something is wrong with the arguments or the folder.
+    """
     sizes = sizes_of(args)
     only = [parse_cell(name, sizes) for name in args.only]
     theirs = None if args.against is None else load_cells(args.against)
@@ -101,8 +107,11 @@ def reproduce(args: Args) -> int:
     )
     config = {"program": "train.reproduce", "training": list(training)}
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
-    workers = args.workers if args.ray is None else ray_workers(args.ray)
-    create(folder, config, args.overwrite)
+    if args.ray is not None:
+        connect_ray(args.ray)
+    if args.overwrite and folder.path.is_dir():
+        clear(folder)
+    folder.create(config, None, overwrite=False)
     try:
         orders = time_orders(folder, sizes, args.workers, "random" in args.parts and not only)
         plan = make_plan(sizes, args.seed, orders)
@@ -110,15 +119,17 @@ def reproduce(args: Args) -> int:
             plan.cells.setdefault(cell.name, cell)
         write_scenes(folder, plan)
         cells = only or chosen(plan, args)
-        settings = Settings(workers, args.ray is not None, training, args.keep)
         if any(result_of(folder.path, cell) is None for cell in cells):
             note_machine(folder)
-        complete, errors = fly_cells(folder.path, cells, settings)
+        ray = args.ray is not None
+        complete, errors = fly_cells(
+            folder.path, cells, training, workers=args.workers, ray=ray, keep=args.keep
+        )
         if not complete:
             say("stopped, saved; go on with --resume")
             return INTERRUPTED
         about = {
-            "command": command(),
+            "command": shlex.join(["python", "-m", "train.reproduce", *without_folder(args.out)]),
             "quick": args.quick,
             "seed": args.seed,
             "training": list(training),
@@ -140,17 +151,15 @@ def reproduce(args: Args) -> int:
 
 
 def sizes_of(args: Args) -> Sizes:
-    """How much to fly.
+    """Return how much to fly.
 
     Raises:
         RunError: a number is out of range, or options exclude each other.
     """
-    least = {"seed": 0, "workers": 1, "training_seeds": 1, "floating": 0, "city": 0, "items": 1}
-    for field, smallest in least.items():
-        value = getattr(args, field)
-        if value is not None and value < smallest:
-            name = field.replace("_", "-")
-            raise RunError(f"--{name}: {value}: must be at least {smallest}")
+    fields = ("training_seeds", "floating", "city", "items")
+    given = {field: getattr(args, field) for field in fields if getattr(args, field) is not None}
+    least = {"training_seeds": 1, "floating": 0, "city": 0, "items": 1}
+    check_least(args, seed=0, workers=1, **{field: least[field] for field in given})
     if args.items is not None and args.items > MAX_EXACT:
         raise RunError(f"--items: {args.items}: must be at most {MAX_EXACT}")
     for field in ("parts", "planners"):
@@ -158,101 +167,64 @@ def sizes_of(args: Args) -> Sizes:
             raise RunError(f"--{field}: names none; leave it out to fly all")
     if args.ray is not None:
         need_ray()
-    given = {
-        field: getattr(args, field)
-        for field in ("training_seeds", "floating", "city", "items")
-        if getattr(args, field) is not None
-    }
     return replace(QUICK if args.quick else Sizes(), **given)
 
 
 def parse_cell(name: str, sizes: Sizes) -> Cell:
-    """The cell of a name as in `Cell.name`.
+    """Return the cell of a name as in `Cell.name`; its order may be a method's name, such as lkh.
 
     Raises:
         RunError: there is no such scene, planner, order or seed.
     """
-    plan = make_plan(sizes, 0, {})
-    for label, scene in plan.scenes.items():
-        for planner in PLANNERS:
-            start = f"{label}-{planner}-"
-            if not name.startswith(start):
-                continue
-            text, _, seed = name.removeprefix(start).partition("-seed")
-            if (planner == "policy") != seed.isdigit():
-                continue
-            try:
-                order = plan_order(scene, text.replace(".", ","))
-            except TourError:
-                continue
-            return Cell(label, order, planner, int(seed or 0))
+    scenes = make_plan(sizes, 0, {}).scenes
+    parts = CELL_NAME.fullmatch(name)
+    if parts is not None and parts[1] in scenes and (parts[2] == "policy") == bool(parts[4]):
+        label, planner, order, seed = parts.groups()
+        with contextlib.suppress(TourError):
+            stops = plan_order(scenes[label], order.replace(".", ","))
+            return Cell(label, stops, planner, int(seed or 0))
     raise RunError(
         f"--only: {name}: is no cell of this run; take a name from results.json, with the same "
         "sizes (--quick, --floating, --city, --items)"
     )
 
 
-def create(folder: RunFolder, config: dict[str, Any], overwrite: bool) -> None:
-    """Make and lock the folder; with `overwrite` remove what an earlier run left.
+def clear(folder: RunFolder) -> None:
+    """Remove what an earlier run left.
 
     Raises:
-        RunError: the folder cannot be made, or is in use.
+        RunError: the folder is in use.
     """
-    try:
-        (folder.path / "scenes").mkdir(parents=True, exist_ok=True)
-        (folder.path / "cells").mkdir(exist_ok=True)
-    except OSError as error:
-        raise RunError(f"--out: {folder.path}: cannot be made ({error.strerror})") from None
     folder.lock()
-    if overwrite:
-        for path in [folder.path / name for name in OUTPUTS] + list(folder.path.glob("*.png")):
-            if path.is_dir():
-                shutil.rmtree(path)
-                path.mkdir()
-            else:
-                path.unlink(missing_ok=True)
-    folder.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
-    folder.write_json("config.json", config)
-
-
-def ray_workers(address: str) -> int:
-    """Connect to a cluster; how many cells it flies at a time.
-
-    Raises:
-        RunError: no cluster answers there.
-    """
-    connect_ray(address)
-    import ray
-
-    return max(1, int(ray.cluster_resources().get("CPU", 1)))
+    for path in [folder.path / name for name in OUTPUTS] + list(folder.path.glob("*.png")):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    folder.unlock()
 
 
 def chosen(plan: Plan, args: Args) -> list[Cell]:
-    """The cells of the parts and planners asked for."""
+    """Return the cells of the parts and planners asked for."""
     names = dict.fromkeys(
         use.cell for use in plan.uses if use.part in args.parts and use.planner in args.planners
     )
     return [plan.cells[name] for name in names]
 
 
-def command(argv: Sequence[str] | None = None) -> str:
-    """The command line without the folder's place, which means nothing elsewhere."""
-    words = list(sys.argv[1:] if argv is None else argv)
-    kept = [
-        word
-        for before, word in zip(["", *words], words, strict=False)
-        if word != "--out" and before != "--out" and not word.startswith("--out=")
-    ]
-    return shlex.join(["python", "-m", "train.reproduce", *kept])
+def without_folder(out: Path | None) -> list[str]:
+    """Return this program's arguments but for --out, whose place means nothing elsewhere."""
+    return [word for word in sys.argv[1:]
+            if Path(word) != out and word != "--out" and not word.startswith("--out=")]  # fmt: skip
 
 
 def write_results(
     folder: RunFolder, plan: Plan, sizes: Sizes, errors: Mapping[str, str], about: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """results.json, which is also returned, the figures, and the page."""
+    """Write results.json, whose content is returned, the figures, and the page."""
     say("counting and drawing")
     found = document(folder.path, plan, sizes, errors, about)
-    found["figures"] = draw(folder, plan, found)
+    found["figures"] = draw(folder.path, plan, found)
     folder.write_json("results.json", found)
     folder.write_text("reproduction.md", page(found))
     return found

@@ -12,67 +12,33 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
-
-import torch
-import tyro
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
-from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.policy import TrainedPolicy, policy_digest
+from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest
 from mjcollect.learning.trainer import Trainer, segment_trainer
 from mjcollect.planners.mpc import fly_mpc
 from mjcollect.scene.bounds import detour_bound, segment_bound
 from mjcollect.scene.order import first_blocked, legs, node_name, plan_order
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
+from train.support.arguments import TrainingArgs, check_device, check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_report import write_record
-from train.support.presets import PresetName, with_preset, with_slot
+from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder, versions
 from train.support.starting_policy import check_size, start_from
 from train.support.training_loop import learn_to_the_end
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(TrainingArgs):
     """Learn to fly one segment of a tour with DDPG, fly it, verify it, film it."""
 
-    scene: str = "scenario_1"
-    """Scene file, or the name of a bundled scene."""
     segment: int | None = None
     """Segment of the tour, 0 (leaves the depot) to K (returns); default: the first blocked one."""
-    order: str = "lkh"
-    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
-    out: Path | None = None
-    """Run folder; default: runs/segment/<scene name>-segment<I>-seed<N>."""
-    seed: int = 0
-    """Seed of every random stream."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where the networks live; simulation stays on the CPU."""
-    resume: bool = False
-    """Go on with the run in the folder."""
-    overwrite: bool = False
-    """Start anew in a folder that is not empty."""
-    video: bool = True
-    """Render segment.mp4."""
-    plots: bool = True
-    """Draw the plots, and fly the MPC to show what there is to beat."""
-    checkpoint_every: int = 1000
-    """Updates between checkpoints."""
-    guidance: Path | None = None
+    guidance_cache: Path | None = None
     """Folder in which a mission has saved its guidance, which else takes seconds to build."""
-    weights: Path | None = None
-    """Policy to start from: a policy.safetensors, a policy.pt, or `shipped`; default: none."""
-    preset: PresetName | None = None
-    """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
-    slot: float | None = None
-    """Seconds of a slot (the paper's delta) in place of the scene file's, such as 0.2 or 1.0."""
-    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
-        default_factory=LearnConfig
-    )
-    """Settings of the learner."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -82,15 +48,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def train_segment(args: Args) -> int:
     """Learn, fly, verify, draw. Raises only before anything is written."""
-    if args.device == "cuda" and not torch.cuda.is_available():
-        raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
-    if args.seed < 0:
-        raise RunError(f"--seed: {args.seed}: must not be negative")
-    if args.checkpoint_every < 1:
-        raise RunError(f"--checkpoint-every: {args.checkpoint_every}: must be at least 1")
+    check_device(args.device)
+    check_least(args, seed=0, checkpoint_every=1)
     policy = None
-    if args.weights is not None:
-        policy, learn = start_from(args.weights, args.learn)
+    if args.policy != NO_POLICY:
+        policy, learn = start_from(args.policy, args.learn)
         args = dataclasses.replace(args, learn=learn)
     scene = with_slot(Scene.find(args.scene), args.slot)
     order = plan_order(scene, args.order, seed=args.seed)
@@ -107,7 +69,7 @@ def train_segment(args: Args) -> int:
         "device": args.device,
         "preset": args.preset,
         "slot": args.slot,
-        "weights": None if args.weights is None else policy_digest(args.weights),
+        "policy": None if policy is None else policy_digest(args.policy),
         "learn": dataclasses.asdict(args.learn),
     }
     name = [f"segment{index}", *([args.preset] if args.preset else []), f"seed{args.seed}"]
@@ -118,7 +80,7 @@ def train_segment(args: Args) -> int:
     if args.resume:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
-    course = Course.segment(scene, order, index, args.guidance)
+    course = Course.segment(scene, order, index, args.guidance_cache)
     if policy is not None:
         check_size(policy, course)
     folder.create(config, scene, overwrite=args.overwrite)

@@ -24,6 +24,7 @@ from mjcollect.learning.networks import make_actor
 from mjcollect.scene.assets import asset_path
 
 SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
+NO_POLICY = Path("none")  # stands for learning from nothing
 # What reading a file that is no policy ends in.
 UNREADABLE = (
     OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,

@@ -97,7 +97,7 @@ def test_a_policy_for_other_observations_is_refused(free_course, missing):
         return
     message = f"--policy: a policy of {size - 20} inputs, .* robust has {size} here"
     with pytest.raises(RunError, match=message):
-        check_size(policy, free_course, "--policy")
+        check_size(policy, free_course)
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_a_file_that_is_no_policy_is_refused(tmp_path, name):
     torch.save({"actor": {}}, tmp_path / "other.pt")
     torch.save({"actor": torch.zeros(3)}, tmp_path / "flat.pt")
     TrainedPolicy(make_actor(45, 16), "strange").save(tmp_path / "strange.pt")
-    with pytest.raises(RunError, match=f"--weights: .*{name}: holds no policy"):
+    with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
         start_from(tmp_path / name, LearnConfig())
     with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
         start_from(tmp_path / name, LearnConfig(), "--policy")

@@ -10,10 +10,10 @@ import pytest
 from mjcollect.envs.course import Course
 from mjcollect.learning.policy import TrainedPolicy
 from train import generalist
+from train.jobs.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
 from train.support import training_loop
 from train.support.mission_report import read_metrics
 from train.support.run_folder import RunFolder
-from train.support.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--segments 5 --held-out 2 --courses 4 --rotate 16 --workers 1 --checkpoint-every 8 "

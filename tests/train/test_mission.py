@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.bounds import mission_bound
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
@@ -20,14 +20,14 @@ from mjcollect.verify import verify
 from train.fly import main as fly
 from train.fly import scene_difference
 from train.jobs.workers import Job
-from train.mission import _from_weights, _keep_best
+from train.mission import _from_policy, _keep_best
 from train.mission import main as mission
 from train.support.run_folder import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--updates 24 --extra-updates 0 --envs 8 --batch 16 --buffer 1000 --width 8 --u2 4 "
     "--demonstrations 64 --eval-every 8 --eval-episodes 2 --threads 1 --no-video "
-    "--checkpoint-every 8 --from-scratch"
+    "--checkpoint-every 8 --policy none"
 ).split()
 KEYS = {
     "scene", "order", "order_method", "success", "mission_time", "lower_bound", "bound_method",
@@ -339,15 +339,15 @@ def begun(scene_file, out, *words):
     code = mission([*arguments, "--retries", "0", *words])
     config = json.loads((out / "config.json").read_text())
     segment = out / "segments" / "0" / "config.json"
-    assert json.loads(segment.read_text())["weights"] == config["weights"]
-    return code, config["weights"]
+    assert json.loads(segment.read_text())["policy"] == config["policy"]
+    return code, config["policy"]
 
 
 @pytest.mark.parametrize("pupil_file", ["robust"], indirect=True)
 def test_starts_from_a_policy_if_one_is_given(scene_file, pupil_file, tmp_path):
     out = tmp_path / "out"
     few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
-    own = ("--weights", str(pupil_file), "--observation", "robust", "--width", "64")
+    own = ("--policy", str(pupil_file), "--observation", "robust", "--width", "64")
     code, weights = begun(scene_file, out, *few, *own)
     assert (code, weights) == (0, policy_digest(pupil_file))
     policies = [TrainedPolicy.load(path / "policy.pt") for path in (out / "segments").iterdir()]
@@ -357,7 +357,7 @@ def test_starts_from_a_policy_if_one_is_given(scene_file, pupil_file, tmp_path):
 
 def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path, capsys):
     """`--width 8` of TINY asks for another network, which says so and learns from nothing."""
-    tiny = [word for word in TINY if word != "--from-scratch"]
+    tiny = [word for word in TINY if word not in ("--policy", "none")]
     assert begun(scene_file, tmp_path / "tiny", *tiny)[1] is None
     assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
     few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
@@ -369,20 +369,13 @@ def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path,
     assert {(policy.observation, policy.width) for policy in policies} == {("path", 192)}
 
 
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (("--from-scratch",), "--weights: some.pt: excludes --from-scratch"),
-        (("--ray", "local"), "--weights: some.pt: the nodes of --ray"),
-    ],
-)
-def test_what_weights_exclude(tmp_path, capsys, more, message):
+def test_a_cluster_has_the_shipped_policy_only(tmp_path, capsys):
     out = tmp_path / "out"
-    assert mission(["--weights", "some.pt", "--out", str(out), *more]) == 2
-    assert message in capsys.readouterr().err
+    assert mission(["--policy", "some.pt", "--out", str(out), "--ray", "local"]) == 2
+    assert "--policy: some.pt: the nodes of --ray" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_what_fails_with_the_weights_is_learned_anew():
-    assert _from_weights(SHIPPED, 0) == ["--weights", str(SHIPPED)]
-    assert _from_weights(SHIPPED, 1) == _from_weights(None, 0) == []
+def test_what_fails_with_the_policy_is_learned_anew():
+    assert _from_policy(SHIPPED, 0) == ["--policy", str(SHIPPED)]
+    assert _from_policy(SHIPPED, 1) == _from_policy(NO_POLICY, 0) == []

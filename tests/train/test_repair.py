@@ -24,9 +24,10 @@ from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
 from train.generalist import HELD_OUT
+from train.jobs.segment_pool import draw_segment
 from train.support import repair
+from train.support.command_line import INTERRUPTED
 from train.support.run_folder import RunFolder
-from train.support.segment_pool import draw_segment
 
 
 @pytest.fixture
@@ -69,7 +70,7 @@ def test_the_shipped_policy_flies_by_default(scene_file, pupil_file, tmp_path, m
     out = tmp_path / "out"
     arguments = ["--scene", str(scene_file), "--out", str(out), "--no-video", "--no-plots"]
     fields = tmp_path / "fields"
-    assert fly([*arguments, "--finetune", "0", "--guidance", str(fields)]) == 0
+    assert fly([*arguments, "--finetune", "0", "--guidance-cache", str(fields)]) == 0
     result = json.loads((out / "mission.json").read_text())
     assert (result["planner"], result["train_seconds"]) == ("policy", None)
     config = json.loads((out / "config.json").read_text())
@@ -77,7 +78,7 @@ def test_the_shipped_policy_flies_by_default(scene_file, pupil_file, tmp_path, m
     first = (out / "trajectory.csv").read_bytes()
     # With the guidance of the first flight it is the same.
     assert len(list(fields.glob("guidance-*.npz"))) == len(result["segments"])
-    assert fly([*arguments, "--finetune", "0", "--guidance", str(fields), "--overwrite"]) == 0
+    assert fly([*arguments, "--finetune", "0", "--guidance-cache", str(fields), "--overwrite"]) == 0
     assert (out / "trajectory.csv").read_bytes() == first
 
 
@@ -150,15 +151,15 @@ def test_failing_segments_are_trained_one_after_another(scene_file, weights, tmp
     """The trainings find one that arrives; that they begin from the given one is seen below."""
     asked = []
 
-    def train(course, order, given, folder, finetune, seed, failing, shield):
-        asked.append((failing, finetune, given.name))
+    def train(args, course, order, folder, seed, shield, index):
+        asked.append((index, args.finetune, args.policy.name))
         assert shield
-        own = folder.path / "segments" / str(failing)
-        own.mkdir(parents=True)
-        TrainedPolicy.load(weights / "pupil.safetensors").save(own / "policy.pt")
-        return {"success_rate": 1.0, "train_seconds": 1.0, "env_steps": 2, "updates": finetune}
+        result = {"success_rate": 1.0, "train_seconds": 1.0, "env_steps": 2}
+        return TrainedPolicy.load(weights / "pupil.safetensors"), result | {
+            "updates": args.finetune
+        }
 
-    monkeypatch.setattr(repair, "_train", train)
+    monkeypatch.setattr("train.fly._train", train)
     out = tmp_path / "out"
     code, result = run(scene_file, out, weights / "wild.safetensors", "--finetune", "7")
     assert code == 0
@@ -180,7 +181,7 @@ def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_
     own = json.loads((out / "segments/0/segment.json").read_text())
     assert own["updates"] == 4
     config = json.loads((out / "segments/0/config.json").read_text())
-    assert config["weights"] is not None
+    assert config["policy"] is not None
     assert (config["learn"]["observation"], config["learn"]["width"]) == ("path", 8)
     assert all(entry["updates"] is None for entry in result["segments"])
 
@@ -212,7 +213,7 @@ def test_bad_arguments_write_nothing(arguments, named, tmp_path, capsys):
 
 
 def test_ctrl_c_in_a_training_ends_with_130(scene_file, weights, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(repair.segment, "train_segment", lambda _: repair.INTERRUPTED)
+    monkeypatch.setattr("train.fly.segment.train_segment", lambda _: INTERRUPTED)
     arguments = ["--scene", str(scene_file), "--policy", str(weights / "wild.safetensors")]
     assert fly([*arguments, "--out", str(tmp_path / "out"), "--no-video"]) == 130
     assert RunFolder(tmp_path / "out").read_json("mission.json") is None
@@ -227,9 +228,9 @@ def test_a_folder_in_use_is_not_to_be_resumed(tmp_path, capsys):
 
 def test_guidance_that_cannot_be_kept_is_refused(tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    arguments = ["--scene", "scenario_1", "--guidance", str(tmp_path / "file")]
+    arguments = ["--scene", "scenario_1", "--guidance-cache", str(tmp_path / "file")]
     assert fly([*arguments, "--out", str(tmp_path / "out")]) == 2
-    assert "--guidance: " in capsys.readouterr().err
+    assert "--guidance-cache: " in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -91,7 +91,7 @@ def test_same_seed_same_trajectory(finished, scene_file, tmp_path):
 def test_starts_from_a_policy_and_stops_at_once_if_it_is_good_enough(
     pupil_file, scene_file, tmp_path
 ):
-    weights = ["--weights", str(pupil_file), "--width", "64", "--gap", "60"]
+    weights = ["--policy", str(pupil_file), "--width", "64", "--gap", "60"]
     out = tmp_path / "out"
     assert run(scene_file, out, *weights) == 0
     result = json.loads((out / "segment.json").read_text())

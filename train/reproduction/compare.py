@@ -13,24 +13,23 @@ COMPARED = ("order", "success", "mission_time", "segment_times", "contacts", "up
 
 
 def load_cells(path: Path) -> dict[str, Any]:
-    """Entries of the cells in a results.json, by name.
+    """Return the entries of the cells in a results.json, by name.
 
     Raises:
         RunError: there is no such file, or it is none.
     """
     try:
-        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        return dict(json.loads(path.read_text(encoding="utf-8"))["cells"])
     except OSError as error:
         raise RunError(f"--against: {path}: cannot be read ({error.strerror})") from None
     except (ValueError, KeyError, TypeError):
         raise RunError(f"--against: {path}: is no results.json of train.reproduce") from None
-    return dict(cells)
 
 
 def differences(
     names: Sequence[str], ours: Mapping[str, Mapping[str, Any]], theirs: Mapping[str, Any]
 ) -> dict[str, str]:
-    """What differs, by cell; empty if all flights of `names` are the same in both."""
+    """Return what differs, by cell; nothing if all flights of `names` are the same in both."""
     found = {}
     for name in names:
         if name not in theirs:
@@ -39,8 +38,7 @@ def differences(
             found[name] = "not flown"
         else:
             one, two = ours[name], theirs[name]
-            parts = [f"{key} {one[key]}, there {two[key]}" for key in COMPARED
-                     if one[key] != two[key]]  # fmt: skip
-            if parts:
-                found[name] = "; ".join(parts)
-    return found
+            found[name] = "; ".join(
+                f"{key} {one[key]}, there {two[key]}" for key in COMPARED if one[key] != two[key]
+            )
+    return {name: what for name, what in found.items() if what}

@@ -1,13 +1,12 @@
-"""Charts of the tables: time against K, the ablation, the saving by ordering."""
+"""Draws the figures: flights, time against K, the ablation, the saving by ordering."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from mjcollect.render.time_figures import (
     BLACK,
@@ -20,15 +19,23 @@ from mjcollect.render.time_figures import (
     figure,
     save,
 )
-from train.reproduction.paper import DDPG, LKH_DDPG, MPC, SCHEMES, SWEEP
-from train.reproduction.plan import ABLATION, PLANNERS
-from train.reproduction.wording import percent
+from train.reproduction.flights import flights_of, plot_schemes
+from train.reproduction.paper import (
+    DDPG,
+    LKH_DDPG,
+    MPC,
+    ORDER_NAMES,
+    PLANNER_NAMES,
+    SCENARIOS,
+    SCHEMES,
+    SWEEP,
+    scheme_name,
+)
+from train.reproduction.plan import ABLATION, PLANNERS, Plan
+from train.reproduction.tables import percent
 
 GREY = "#C9CFD6"
-ORDER_NAMES = {"random": "random order", "lkh": "LKH", "lkh-time": "LKH, obstacle-aware cost"}
-PLANNER_NAMES = {"policy": "DDPG", "mpc": "MPC", "guidance": "guidance law",
-                 "reference": "reference"}  # fmt: skip
-SWEEP_LINES: list[tuple[tuple[str, str], str, str]] = [
+SWEEP_LINES = [
     (LKH_DDPG, GREEN, "o"),
     (DDPG, BLUE, "s"),
     (MPC, RED, "^"),
@@ -38,10 +45,34 @@ SWEEP_LINES: list[tuple[tuple[str, str], str, str]] = [
 Document = Mapping[str, Any]
 
 
-def plot_sweep(path: Path, doc: Document) -> Figure:
-    """Mission time against K beside the paper's points; the range of all orders' bounds behind."""
-    made = figure(11, 7)
-    axes: Any = made.add_axes((0.08, 0.1, 0.89, 0.82))
+def draw(out: Path, plan: Plan, doc: Document) -> dict[str, str]:
+    """Draw every figure for which there are flights into the folder `out`.
+
+    Returns:
+        The files' names by what they show.
+    """
+    drawn = {}
+    for scene in SCENARIOS:
+        flights = flights_of(out, plan, scene)
+        if flights:
+            drawn[scene] = f"schemes_{scene}.png"
+            title = f"{scene} (look-alike): the paper's three schemes"
+            plot_schemes(out / drawn[scene], plan.scenes[scene], title, flights)
+    charts = (
+        ("sweep", plot_sweep, doc["tables"]["sweep"]),
+        ("ablation", plot_ablation, doc["tables"]["random"]),
+        ("savings", plot_savings, doc["orders"]),
+    )
+    for shown, plot, table in charts:
+        if table:
+            drawn[shown] = f"{shown}.png"
+            plot(out / drawn[shown], doc)
+    return drawn
+
+
+def plot_sweep(path: Path, doc: Document) -> None:
+    """Draw mission time against K beside the paper's points, before the range of all bounds."""
+    axes: Any = figure(11, 7).add_axes((0.08, 0.1, 0.89, 0.82))
     entries = doc["tables"]["sweep"]
     spread = {entry["items"]: doc["spreads"][f"sweep_{entry['items']}"] for entry in entries}
     items = sorted(spread)
@@ -69,49 +100,38 @@ def plot_sweep(path: Path, doc: Document) -> Figure:
     axes.set_ylabel("mission time (s)", **LABEL)
     axes.set_xticks(range(1, 9))
     axes.set_ylim(bottom=0)
-    _plain(axes)
-    axes.legend(frameon=False, fontsize=9.5)
-    made.suptitle("Mission time against K: look-alike scene, paper's points hollow", fontsize=13)
-    save(made, path)
-    return made
+    _finish(path, axes, "Mission time against K: look-alike scene, paper's points hollow")
 
 
-def plot_ablation(path: Path, doc: Document) -> Figure:
-    """Mean time over the lower bound for each order and planner, with 95% intervals."""
-    made = figure(11, 6.5)
-    axes: Any = made.add_axes((0.08, 0.11, 0.89, 0.78))
-    rows = {(row["planner"], row["method"]): row for row in doc["tables"]["random"]
+def plot_ablation(path: Path, doc: Document) -> None:
+    """Draw the mean time over the lower bound by order and planner, with 95% intervals."""
+    axes: Any = figure(11, 6.5).add_axes((0.08, 0.11, 0.89, 0.78))
+    rows = {(row["planner"], row["method"]): row["ratio"] for row in doc["tables"]["random"]
             if row["layout"] == "all" and row["ratio"]["n"]}  # fmt: skip
     planners = [planner for planner in PLANNERS if any(key[0] == planner for key in rows)]
     width = 0.8 / len(ABLATION)
     for number, (method, colour) in enumerate(zip(ABLATION, (BLUE, GREEN, ORANGE), strict=True)):
         there = [k for k, planner in enumerate(planners) if (planner, method) in rows]
-        ratios = [rows[planners[k], method]["ratio"] for k in there]
+        ratios = [rows[planners[k], method] for k in there]
         places = [k + (number - 1) * width for k in there]
         errors = [0.0 if r["low"] is None else r["mean"] - r["low"] for r in ratios]
-        means = [ratio["mean"] for ratio in ratios]
-        heights = [mean - 1.0 for mean in means]
-        axes.bar(places, heights, 0.92 * width, bottom=1.0, yerr=errors, capsize=3, color=colour,
-                 label=ORDER_NAMES[method], error_kw={"linewidth": 1.1})  # fmt: skip
-        for place, mean, error in zip(places, means, errors, strict=True):
-            axes.annotate(f"{mean:.3f}", (place, mean + error), xytext=(0, 3), ha="center",
-                          textcoords="offset points", size=9)  # fmt: skip
+        heights = [ratio["mean"] - 1.0 for ratio in ratios]
+        bars = axes.bar(places, heights, 0.92 * width, bottom=1.0, yerr=errors, capsize=3,
+                        color=colour, label=ORDER_NAMES[method],
+                        error_kw={"linewidth": 1.1})  # fmt: skip
+        axes.bar_label(bars, [f"{ratio['mean']:.3f}" for ratio in ratios], padding=3, size=9)
     axes.axhline(1.0, color=BLACK, linewidth=0.9)
     axes.set_xticks(range(len(planners)), [PLANNER_NAMES[planner] for planner in planners])
     axes.set_ylabel("mission time / lower bound", **LABEL)
     axes.margins(y=0.08)
-    _plain(axes)
-    axes.legend(frameon=False, ncol=3, loc="upper right", bbox_to_anchor=(1.0, 1.08))
-    scenes = len(dict.fromkeys(u["scene"] for u in doc["uses"] if u["part"] == "random"))
-    made.suptitle(f"Order and planner over {scenes} random scenes, 95% intervals", fontsize=13)
-    save(made, path)
-    return made
+    scenes = len({use["scene"] for use in doc["uses"] if use["part"] == "random"})
+    title = f"Order and planner over {scenes} random scenes, 95% intervals"
+    _finish(path, axes, title, ncol=3, loc="upper right", bbox_to_anchor=(1.0, 1.08))
 
 
-def plot_savings(path: Path, doc: Document) -> Figure:
-    """Share of the time that the best order saves: computed distribution, and flown scenes."""
-    made = figure(11, 6.5)
-    axes: Any = made.add_axes((0.08, 0.11, 0.89, 0.78))
+def plot_savings(path: Path, doc: Document) -> None:
+    """Draw what share of the time the best order saves: over random instances, and as flown."""
+    axes: Any = figure(11, 6.5).add_axes((0.08, 0.11, 0.89, 0.78))
     orders = doc["orders"]
     edges = 100 * np.array(orders["histogram"]["edges"])
     counts = np.array(orders["histogram"]["counts"])
@@ -139,30 +159,14 @@ def plot_savings(path: Path, doc: Document) -> Figure:
     axes.set_ylabel("share of instances (%)", **LABEL)
     axes.set_ylim(-0.36 * top, 1.08 * top)
     axes.set_yticks([tick for tick in axes.get_yticks() if 0 <= tick <= 1.08 * top])
-    _plain(axes)
-    axes.legend(frameon=False, fontsize=9.5, loc="upper left")
-    made.suptitle("Saving by ordering", fontsize=13)
-    save(made, path)
-    return made
+    _finish(path, axes, "Saving by ordering", loc="upper left")
 
 
-def scheme_name(method: str, planner: str) -> str:
-    """'LKH-DDPG' where the paper has a name, else such as 'MPC, LKH'."""
-    named = {**SCHEMES, MPC: "MPC, file order"}
-    if (method, planner) in named:
-        return named[method, planner]
-    order = {**ORDER_NAMES, "given": "file order"}[method]
-    return f"{PLANNER_NAMES[planner]}, {order}"
-
-
-def figure_names(scenarios: Sequence[str]) -> dict[str, str]:
-    """File names by what they show."""
-    flights = {scene: f"schemes_{scene}.png" for scene in scenarios}
-    return {**flights, "sweep": "sweep.png", "ablation": "ablation.png", "savings": "savings.png"}
-
-
-def _plain(axes: Any) -> None:
+def _finish(path: Path, axes: Any, title: str, **legend: Any) -> None:
+    axes.legend(**{"frameon": False, "fontsize": 9.5, **legend})
+    axes.figure.suptitle(title, fontsize=13)
     axes.grid(color="#E3E3E3", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9.5)
+    save(axes.figure, path)

@@ -2,38 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from mjcollect.render.path_figures import draw_boxes_3d, draw_boxes_top
 from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, RED, figure, save
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
+from train.reproduction.paper import SCHEMES, scheme_name
+from train.reproduction.plan import Order, Plan
+from train.reproduction.running import cell_folder
 
-COLOURS = (GREEN, BLUE, RED)
-STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1.5, 1.5)))
+STYLES: tuple[tuple[str, Any], ...] = (
+    (GREEN, "-"),
+    (BLUE, (0, (5, 2))),
+    (RED, (0, (1.5, 1.5))),
+)
 MOST_POINTS = 1500
 
 
-@dataclass(frozen=True)
-class Flown:
-    """One scheme's flight: its name, the order as flown, and the record."""
+def flights_of(out: Path, plan: Plan, scene: str) -> dict[str, tuple[Order, Trajectory]]:
+    """Return order and flight of each of the paper's schemes, by its name.
 
-    name: str
-    order: Sequence[int]
-    trajectory: Trajectory
+    Of several training seeds the first that was flown counts.
+    """
+    found: dict[str, tuple[Order, Trajectory]] = {}
+    for scheme in SCHEMES:
+        for use in plan.uses:
+            if (use.part, use.scene, use.method, use.planner) == ("scenarios", scene, *scheme):
+                cell = plan.cells[use.cell]
+                path = cell_folder(out, cell).path / "trajectory.csv"
+                name = scheme_name(*scheme)
+                if name not in found and path.is_file():
+                    found[name] = (cell.order, Trajectory.load(path))
+    return found
 
 
-def plot_schemes(path: Path, scene: Scene, title: str, flights: Sequence[Flown]) -> Figure:
-    """Draw flights of one scene over each other, 3D on the left, from above on the right.
+def plot_schemes(
+    path: Path, scene: Scene, title: str, flights: Mapping[str, tuple[Order, Trajectory]]
+) -> None:
+    """Draw up to three flights of one scene over each other, in 3D on the left, from above right.
 
     Args:
         path: PNG to write, 1800 by 960 pixels.
+        flights: order and flight by the scheme's name.
     """
     made = figure(15, 8)
     space: Any = made.add_axes((0.0, 0.09, 0.50, 0.85), projection="3d", computed_zorder=False)
@@ -42,14 +57,14 @@ def plot_schemes(path: Path, scene: Scene, title: str, flights: Sequence[Flown])
     draw_boxes_3d(space, scene.obstacles)
     draw_boxes_top(top, scene)
     handles = []
-    for number, flight in enumerate(flights):
-        x = _thinned(flight.trajectory.x)
+    for number, (name, (order, flight)) in enumerate(flights.items()):
+        x = np.concatenate([flight.x[:: max(1, len(flight.x) // MOST_POINTS)], flight.x[-1:]])
+        colour, dashes = STYLES[number]
         style: Mapping[str, Any] = {
-            "color": COLOURS[number % 3], "linestyle": STYLES[number % 3],
-            "linewidth": 2.6 - 0.3 * number, "zorder": 4 + number,
+            "color": colour, "linestyle": dashes, "linewidth": 2.6 - 0.3 * number,
+            "zorder": 4 + number,
         }  # fmt: skip
-        stops = ", ".join(map(str, flight.order))
-        label = f"{flight.name}: {flight.trajectory.duration:.1f} s (order {stops})"
+        label = f"{name}: {flight.duration:.1f} s (order {', '.join(map(str, order))})"
         handles += space.plot(*x.T, label=label, **style)
         top.plot(*x.T[:2], **style)
     for node in range(-1, len(scene.items)):
@@ -76,9 +91,3 @@ def plot_schemes(path: Path, scene: Scene, title: str, flights: Sequence[Flown])
     made.suptitle(title, fontsize=14, y=0.975)
     made.legend(handles=handles, loc="lower center", ncol=3, frameon=False, fontsize=10)
     save(made, path)
-    return made
-
-
-def _thinned(points: np.ndarray) -> np.ndarray:
-    step = max(1, len(points) // MOST_POINTS)
-    return np.concatenate([points[::step], points[-1:]])

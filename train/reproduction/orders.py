@@ -1,7 +1,7 @@
 """What the visiting order alone is worth: straight legs, nothing flown.
 
-The bound of an order is the sum of its legs' lower bounds (`mjcollect.bounds`): straight distance,
-stops anywhere in the balls.
+The bound of an order is the sum of its legs' lower bounds (`mjcollect.scene.bounds`): straight
+distance, stops anywhere in the balls.
 """
 
 from __future__ import annotations
@@ -19,24 +19,17 @@ from mjcollect.scene.scene import Scene
 MOST = 8  # items of a random instance
 EXTENT, SPACING = 1000.0, 20.0  # m: the paper's cube, and the generator's least distance
 V_MAX, A_MAX, EPSILON = 50.0, 20.0, 5.0  # the paper's
-CHUNK = 2_000
-LARGEST_ENUMERATED = 8
+CHUNK = 2_000  # instances worked on at once, for the memory's sake
 
 
 def order_bound(scene: Scene, order: tuple[int, ...]) -> float:
-    """Lower bound in s on a mission flown in `order`."""
+    """Return the lower bound in s on a mission flown in `order`."""
     return sum(segment_bound(scene, frm, to) for frm, to in legs(order))
 
 
 def all_bounds(scene: Scene) -> Array:
-    """Bounds (K!,) in s of every order, sorted; K <= 8.
-
-    Raises:
-        ValueError: more items.
-    """
+    """Return the bounds (K!,) in s of every order, sorted; for up to 8 items or so."""
     count = len(scene.items)
-    if count > LARGEST_ENUMERATED:
-        raise ValueError(f"items: {count}: at most {LARGEST_ENUMERATED} are enumerated")
     cost = np.array(
         [[segment_bound(scene, frm, to) for to in range(-1, count)] for frm in range(-1, count)]
     )
@@ -46,8 +39,11 @@ def all_bounds(scene: Scene) -> Array:
     return np.sort(cost[stops[:, :-1], stops[:, 1:]].sum(axis=1))
 
 
-def spread(scene: Scene) -> dict[str, float]:
-    """How the bounds of all orders of a scene are spread, in s."""
+def spread(scene: Scene, order: tuple[int, ...]) -> dict[str, float]:
+    """Return how the bounds of all orders of a scene are spread, in s.
+
+    `share_as_long` is the share of all orders whose bound is at least that of `order`.
+    """
     bounds = all_bounds(scene)
     low, high = np.percentile(bounds, [5, 95])
     return {
@@ -56,16 +52,12 @@ def spread(scene: Scene) -> dict[str, float]:
         "p5": float(low),
         "p95": float(high),
         "worst": float(bounds[-1]),
+        "share_as_long": float(np.mean(bounds >= order_bound(scene, order) - 1e-9)),
     }
 
 
-def share_as_long(scene: Scene, order: tuple[int, ...]) -> float:
-    """Share of all orders whose bound is at least that of `order`."""
-    return float(np.mean(all_bounds(scene) >= order_bound(scene, order) - 1e-9))
-
-
 def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:
-    """Random instances: K items uniform in the cube, a random order against the best one.
+    """Compare a random order with the best one, for K items drawn uniformly in the cube.
 
     An instance's item sets are nested, K = 1 to 8, as in the paper's sweep. Those with items
     nearer than 20 m to each other or to the depot are left out.
@@ -113,7 +105,7 @@ def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:
 
 
 def leg_costs(points: Array) -> Array:
-    """Leg bounds (B, N, N) in s between points (B, N, 3), depot first; see `segment_bound`."""
+    """Return the leg bounds (B, N, N) in s between points (B, N, 3), the depot first."""
     distance = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     slack = np.full(distance.shape[1:], 2 * EPSILON)
     slack[0, :] = EPSILON
@@ -121,7 +113,10 @@ def leg_costs(points: Array) -> Array:
 
 
 def nested_given(cost: Array) -> Array:
-    """Bounds (B, K) of the tours of the first 1..K items in file order, which is a random one."""
+    """Return the bounds (B, K) in s of the tours of the first 1 to K items in file order.
+
+    Of items that were drawn at random, this order is a random one.
+    """
     count = cost.shape[1] - 1
     index = np.arange(count)
     between = np.cumsum(cost[:, index, index + 1], axis=1)
@@ -129,7 +124,10 @@ def nested_given(cost: Array) -> Array:
 
 
 def nested_best(cost: Array) -> Array:
-    """The same of the best tours: Held and Karp's programme, for all instances at once."""
+    """Return the bounds (B, K) in s of the best tours of the first 1 to K items.
+
+    This is Held and Karp's dynamic programme, for all instances at once.
+    """
     batch, count = len(cost), cost.shape[1] - 1
     best = np.full((1 << count, batch, count), np.inf)  # [visited][instance, last]
     for item in range(count):

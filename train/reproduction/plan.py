@@ -6,9 +6,9 @@ that give the same order share a cell, and so do scenes that differ only in thei
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
 from train.reproduction.paper import RANDOM_ORDERS
 
-PLANNERS = ("policy", "mpc", "guidance", "reference")
-PARTS = ("scenarios", "sweep", "random")
+Planner = Literal["policy", "mpc", "guidance", "reference"]
+PLANNERS: tuple[Planner, ...] = get_args(Planner)
+Part = Literal["scenarios", "sweep", "random"]
+PARTS: tuple[Part, ...] = get_args(Part)
 ABLATION = ("random", "lkh", "lkh-time")  # orders flown over the random scenes
 Order = tuple[int, ...]
 
@@ -58,7 +60,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Readable and unique within a plan; the cell's folder."""
+        """The cell's name, unique within a plan, and the name of its folder."""
         trained = f"-seed{self.seed}" if self.planner == "policy" else ""
         return f"{self.scene}-{self.planner}-{'.'.join(map(str, self.order))}{trained}"
 
@@ -88,13 +90,18 @@ class Plan:
     scenes: dict[str, Scene] = field(default_factory=dict)
     cells: dict[str, Cell] = field(default_factory=dict)
     uses: list[Use] = field(default_factory=list)
-    _known: dict[str, str] = field(default_factory=dict)  # content -> label
 
     def add_scene(self, label: str, scene: Scene) -> str:
-        """Add a scene unless one with the same content is there; the label it is flown under."""
-        flown = self._known.setdefault(content(scene), label)
-        self.scenes.setdefault(flown, scene)
-        return flown
+        """Add a scene unless one is there that differs only in name and seed.
+
+        Returns:
+            The label that it is flown under.
+        """
+        for known, other in self.scenes.items():
+            if replace(scene, name=other.name, seed=other.seed) == other:
+                return known
+        self.scenes[label] = scene
+        return label
 
     def add(
         self, part: str, label: str, scene: Scene, methods: Mapping[str, Order],
@@ -111,30 +118,26 @@ class Plan:
                 self.uses.append(Use(part, label, method, planner, seed, cell.name))
 
 
-def content(scene: Scene) -> str:
-    """The scene but for its name and seed, as text."""
-    entries = scene.to_dict()
-    return json.dumps({key: entries[key] for key in entries if key not in ("name", "seed")})
-
-
 def first_items(scene: Scene, count: int) -> Scene:
-    """The same scene with its first `count` items only."""
+    """Return the same scene with its first `count` items only."""
     return replace(scene, name=f"{scene.name}_K{count}", items=np.array(scene.items[:count]))
 
 
 def random_scenes(sizes: Sizes) -> dict[str, Scene]:
-    """The generated scenes by label."""
-    counts = (("floating", sizes.floating), ("city", sizes.city))
+    """Return the generated scenes by label."""
     made = [
         generate(sizes.first_scene + number, sizes.items, layout=layout)
-        for layout, count in counts
+        for layout, count in (("floating", sizes.floating), ("city", sizes.city))
         for number in range(count)
     ]
     return {scene.slug: scene for scene in made}
 
 
 def sweep_random_order(count: int) -> Order:
-    """Order of the sweep without LKH: the look-alike's for K = 4 and 8, else its first K items."""
+    """Return the order of the sweep without LKH: the look-alike's, cut to its first K items.
+
+    At K = 4, where the sweep is scenario 2, it is that scenario's.
+    """
     if count == 4:
         return RANDOM_ORDERS["scenario_2"]
     order = [item for item in RANDOM_ORDERS["sweep_8"] if item < count]
@@ -144,9 +147,10 @@ def sweep_random_order(count: int) -> Order:
 
 
 def make_plan(sizes: Sizes, seed: int, time_orders: Mapping[str, Order]) -> Plan:
-    """Everything the page shows.
+    """Return the plan of everything that the page shows.
 
     Args:
+        sizes: how much is flown.
         seed: training seeds and random orders count up from it.
         time_orders: LKH's order at obstacle-aware cost by label of the random scenes; scenes that
             are missing go without.

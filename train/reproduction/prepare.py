@@ -2,52 +2,52 @@
 
 from __future__ import annotations
 
-import hashlib
+import os
+import platform
+from pathlib import Path
 
+from mjcollect.guidance.travel_times import travel_times
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
 from train.jobs.processes import importing_pool
-from train.reproduction.document import machine
-from train.reproduction.plan import Order, Plan, Sizes, content, random_scenes
+from train.reproduction.plan import Order, Plan, Sizes, random_scenes
 from train.support.command_line import say
 from train.support.run_folder import RunError, RunFolder
 
 
 def time_orders(folder: RunFolder, sizes: Sizes, workers: int, compute: bool) -> dict[str, Order]:
-    """LKH's order at obstacle-aware cost of every random scene, kept in orders.json.
+    """Return LKH's order at obstacle-aware cost of every random scene, kept in orders.json.
 
     Args:
-        workers: processes that compute them. compute: False takes only those that are kept.
+        folder: the run's.
+        sizes: how many random scenes there are, of how many items.
+        workers: how many processes compute orders side by side.
+        compute: False returns only those that are kept.
     """
     scenes = random_scenes(sizes)
-    keys = {label: hashlib.sha256(content(scene).encode()).hexdigest()[:16]
-            for label, scene in scenes.items()}  # fmt: skip
     kept = folder.read_json("orders.json") or {}
-    missing = [label for label, key in keys.items() if key not in kept]
+    missing = [label for label in scenes if label not in kept]
     if compute and missing:
         say(f"ordering {len(missing)} random scenes at obstacle-aware cost")
-        count = min(workers, len(missing))
-        with importing_pool(count) as pool:
+        with importing_pool(min(workers, len(missing))) as pool:
             found = pool.map(time_order, [scenes[label] for label in missing])
-            for label, order in zip(missing, found, strict=True):
-                kept[keys[label]] = list(order)
+            kept.update(zip(missing, found, strict=True))
         folder.write_json("orders.json", kept)
-    return {label: tuple(kept[key]) for label, key in keys.items() if key in kept}
+    return {label: tuple(kept[label]) for label in scenes if label in kept}
 
 
 def time_order(scene: Scene) -> Order:
-    """LKH's order at the least time round the obstacles."""
-    from mjcollect.guidance.travel_times import travel_times
-
+    """Return LKH's order at the least time round the obstacles."""
     return plan_order(scene, "lkh", cost=travel_times(scene))
 
 
 def write_scenes(folder: RunFolder, plan: Plan) -> None:
-    """A file for every scene in scenes/.
+    """Write a file for every scene into scenes/.
 
     Raises:
         RunError: a file of that name holds another scene.
     """
+    (folder.path / "scenes").mkdir(exist_ok=True)
     for label, scene in plan.scenes.items():
         name = f"scenes/{label}.json"
         path = folder.path / name
@@ -59,6 +59,13 @@ def write_scenes(folder: RunFolder, plan: Plan) -> None:
 
 def note_machine(folder: RunFolder) -> None:
     """Add this machine to machines.json, which lists all that flew cells."""
+    model = platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                model = line.split(":", 1)[1].strip()
+    here = {"cpus": os.cpu_count(), "processor": model, "system": platform.system()}
     known = folder.read_json("machines.json") or {"machines": []}
-    if (here := machine()) not in known["machines"]:
+    if here not in known["machines"]:
         folder.write_json("machines.json", {"machines": [*known["machines"], here]})

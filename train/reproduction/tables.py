@@ -1,4 +1,4 @@
-"""From flown cells to tables: plain numbers, nothing formatted.
+"""From flown cells to tables of plain numbers, and how means and shares are printed.
 
 Rows come as `uses` (dictionaries of `train.reproduction.plan.Use`) and `cells` (name -> entry of
 `entry_of`). A cell that is not flown is missing from `cells`; a flight without success has no time.
@@ -6,15 +6,16 @@ Rows come as `uses` (dictionaries of `train.reproduction.plan.Use`) and `cells` 
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, t
 
-from train.reproduction.paper import SCENARIOS, SWEEP
+from train.reproduction.paper import Scheme, reported
 from train.reproduction.plan import ABLATION, PLANNERS, Cell
 
 Row = dict[str, Any]
@@ -22,7 +23,7 @@ CONFIDENCE = 0.95
 
 
 def entry_of(cell: Cell, result: Mapping[str, Any]) -> Row:
-    """What is kept of a cell's mission.json."""
+    """Return what the tables and readers need of a cell's mission.json."""
     segments = result["segments"]
     updates = [segment["updates"] for segment in segments]
     return {
@@ -46,108 +47,97 @@ def entry_of(cell: Cell, result: Mapping[str, Any]) -> Row:
 
 
 def summary(values: Sequence[float]) -> Row:
-    """Count, mean and its 95% interval by Student's t (none for fewer than two values)."""
+    """Return count, mean and its 95% interval by Student's t (none for fewer than two values)."""
     count = len(values)
-    if count == 0:
-        return {"n": 0, "mean": None, "low": None, "high": None}
-    mean = fmean(values)
-    if count == 1:
-        return {"n": 1, "mean": mean, "low": None, "high": None}
-    error = float(np.std(values, ddof=1)) / math.sqrt(count)
-    half = float(t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * error
-    return {"n": count, "mean": mean, "low": mean - half, "high": mean + half}
+    found: Row = {"n": count, "mean": fmean(values) if values else None, "low": None, "high": None}
+    if count > 1:
+        error = float(np.std(values, ddof=1)) / math.sqrt(count)
+        half = float(t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * error
+        found |= {"low": found["mean"] - half, "high": found["mean"] + half}
+    return found
 
 
 def rate(successes: int, count: int) -> Row:
-    """A share and its exact 95% interval (Clopper and Pearson)."""
+    """Return a share and its exact 95% interval (Clopper and Pearson)."""
     if count == 0:
         return {"n": 0, "successes": 0, "share": None, "low": None, "high": None}
-    interval = binomtest(successes, count).proportion_ci(CONFIDENCE, method="exact")
+    exact = binomtest(successes, count).proportion_ci(CONFIDENCE, method="exact")
     return {
         "n": count,
         "successes": successes,
         "share": successes / count,
-        "low": float(interval.low),
-        "high": float(interval.high),
+        "low": float(exact.low),
+        "high": float(exact.high),
     }
 
 
-def flown(
-    uses: Sequence[Row], cells: Mapping[str, Row], where: Callable[[Row], bool]
-) -> list[tuple[Row, Row]]:
-    """Pairs of use and cell that fit and are flown."""
-    return [(use, cells[use["cell"]]) for use in uses if where(use) and use["cell"] in cells]
+def percent(share: float, digits: int = 1) -> str:
+    """Return a share as text such as '12.3%'."""
+    return f"{100 * share:.{digits}f}%"
 
 
-def _scheme(rows: Sequence[tuple[Row, Row]]) -> Row:
-    """One scheme in one scene, over its training seeds."""
-    times = [cell["mission_time"] for _, cell in rows if cell["success"]]
-    training = [cell["train_seconds"] for _, cell in rows if cell["train_seconds"] is not None]
+def interval(row: Mapping[str, Any], digits: int, scale: float = 1.0, unit: str = "") -> str:
+    """Return mean and 95% interval of a `summary` as text; empty if it has no values."""
+    if row["mean"] is None:
+        return ""
+    mean = f"{scale * row['mean']:.{digits}f}{unit}"
+    if row["low"] is None:
+        return mean
+    return f"{mean} [{scale * row['low']:.{digits}f}, {scale * row['high']:.{digits}f}]"
+
+
+def scene_table(uses: Sequence[Row], cells: Mapping[str, Row], scene: str) -> list[Row]:
+    """Return a row for each scheme flown in a scene, over its training seeds."""
+    schemes: dict[Scheme, list[Row]] = {}
+    for use in uses:
+        if use["scene"] == scene and use["cell"] in cells:
+            scheme = (use["method"], use["planner"])
+            schemes.setdefault(scheme, []).append(cells[use["cell"]])
+    return [
+        {"method": method, "planner": planner, "paper": reported(scene, (method, planner)),
+         **_scheme(flights)}
+        for (method, planner), flights in schemes.items()
+    ]  # fmt: skip
+
+
+def _scheme(cells: Sequence[Row]) -> Row:
+    times = [cell["mission_time"] for cell in cells if cell["success"]]
     return {
-        "order": rows[0][1]["order"],
-        "order_bound": rows[0][1]["order_bound"],
+        "order": cells[0]["order"],
+        "order_bound": cells[0]["order_bound"],
         "time": summary(times),
         "times": times,
         "shortest": min(times, default=None),
         "longest": max(times, default=None),
-        "success": rate(len(times), len(rows)),
-        "contacts": sum(cell["contacts"] for _, cell in rows),
-        "train_seconds": fmean(training) if training else None,
+        "success": rate(len(times), len(cells)),
+        "contacts": sum(cell["contacts"] for cell in cells),
+        "train_seconds": _training(cells)["mean"],
     }
 
 
-def scene_table(uses: Sequence[Row], cells: Mapping[str, Row], part: str, scene: str) -> list[Row]:
-    """A row for each scheme (order method, planner) of a scene, the paper's time beside it."""
-    fitting = flown(uses, cells, lambda use: use["part"] == part and use["scene"] == scene)
-    schemes = dict.fromkeys((use["method"], use["planner"]) for use, _ in fitting)
-    table = []
-    for method, planner in schemes:
-        rows = [pair for pair in fitting if (pair[0]["method"], pair[0]["planner"])
-                == (method, planner)]  # fmt: skip
-        paper = reported(part, scene, method, planner)
-        table.append({"method": method, "planner": planner, "paper": paper, **_scheme(rows)})
-    return table
-
-
-def reported(part: str, scene: str, method: str, planner: str) -> list[float] | None:
-    """The paper's time of a scheme as [low, high], None if it gives none."""
-    if part == "scenarios":
-        time = SCENARIOS[scene].get((method, planner))
-        return None if time is None else [time, time]
-    if part == "sweep":
-        times = SWEEP.get((method, planner), {}).get(int(scene.removeprefix("sweep_")))
-        return None if times is None else list(times)
-    return None
-
-
-def layout_of(scene: str) -> str:
-    """Layout of a random scene from its label."""
-    return scene.split("_")[0]
+def _training(cells: Sequence[Row]) -> Row:
+    return summary([cell["train_seconds"] for cell in cells if cell["train_seconds"] is not None])
 
 
 def random_table(uses: Sequence[Row], cells: Mapping[str, Row]) -> list[Row]:
-    """A row for each layout ('all' too), planner and order method over the random scenes."""
-    fitting = flown(uses, cells, lambda use: use["part"] == "random")
-    layouts = dict.fromkeys(layout_of(use["scene"]) for use, _ in fitting)
-    table = []
-    for layout in [*layouts, "all"]:
-        for planner in PLANNERS:
-            for method in ABLATION:
-                rows = [
-                    cell for use, cell in fitting
-                    if layout in ("all", layout_of(use["scene"]))
-                    and (use["planner"], use["method"]) == (planner, method)
-                ]  # fmt: skip
-                if rows:
-                    group = {"layout": layout, "planner": planner, "method": method}
-                    table.append({**group, **_group(rows)})
-    return table
+    """Return a row for each layout ('all' too), planner and order over the random scenes."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for use in uses:
+        if use["part"] == "random" and use["cell"] in cells:
+            for layout in (use["scene"].split("_")[0], "all"):
+                group = (layout, use["planner"], use["method"])
+                groups.setdefault(group, []).append(cells[use["cell"]])
+    wanted = itertools.product(("floating", "city", "all"), PLANNERS, ABLATION)
+    return [
+        {"layout": group[0], "planner": group[1], "method": group[2], **_group(groups[group])}
+        for group in wanted
+        if group in groups
+    ]
 
 
 def _group(cells: Sequence[Row]) -> Row:
     won = [cell for cell in cells if cell["success"]]
     ratios = [cell["ratio"] for cell in won]
-    training = [cell["train_seconds"] for cell in cells if cell["train_seconds"] is not None]
     return {
         "success": rate(len(won), len(cells)),
         "time": summary([cell["mission_time"] for cell in won]),
@@ -155,66 +145,59 @@ def _group(cells: Sequence[Row]) -> Row:
         "ratio": summary(ratios),
         "worst_ratio": max(ratios, default=None),
         "contacts": sum(cell["contacts"] for cell in cells),
-        "train_seconds": summary(training),
+        "train_seconds": _training(cells),
     }
 
 
-def paired(
-    uses: Sequence[Row], cells: Mapping[str, Row], one: tuple[str, str], two: tuple[str, str]
-) -> Row:
-    """Share of the time of scheme `two` that scheme `one` saves, over random scenes both flew.
+def paired(uses: Sequence[Row], cells: Mapping[str, Row], one: Scheme, two: Scheme) -> Row:
+    """Return what share of scheme `two`'s time scheme `one` saves, over scenes both succeed in."""
 
-    Args:
-        one, two: order method and planner.
-    """
-    fitting = flown(uses, cells, lambda use: use["part"] == "random")
-    times: dict[tuple[str, str], dict[str, Row]] = {one: {}, two: {}}
-    for use, cell in fitting:
-        scheme = (use["method"], use["planner"])
-        if scheme in times and cell["success"]:
-            times[scheme][use["scene"]] = cell
-    both = [scene for scene in times[two] if scene in times[one]]
-    first, second = [times[one][s] for s in both], [times[two][s] for s in both]
-    pairs = list(zip(first, second, strict=True))
-    savings = [1.0 - a["mission_time"] / b["mission_time"] for a, b in pairs]
-    low, high = np.percentile(savings, [5, 95]) if savings else (None, None)
+    def won(scheme: Scheme) -> dict[str, Row]:
+        return {
+            use["scene"]: cells[use["cell"]]
+            for use in uses
+            if use["part"] == "random" and (use["method"], use["planner"]) == scheme
+            and use["cell"] in cells and cells[use["cell"]]["success"]
+        }  # fmt: skip
+
+    first, second = won(one), won(two)
+    both = [scene for scene in second if scene in first]
+    savings = [1.0 - first[s]["mission_time"] / second[s]["mission_time"] for s in both]
+    low, high = np.percentile(savings, [5, 95]).tolist() if savings else (None, None)
     return {
         "one": list(one),
         "two": list(two),
         "scenes": both,
         "savings": savings,
         "saving": summary(savings),
-        "p5": None if low is None else float(low),
-        "p95": None if high is None else float(high),
-        "changed": sum(a["order"] != b["order"] for a, b in pairs),
+        "p5": low,
+        "p95": high,
+        "changed": sum(first[scene]["order"] != second[scene]["order"] for scene in both),
     }
 
 
 def tables(uses: Sequence[Row], cells: Mapping[str, Row]) -> Row:
-    """All tables."""
-    scenes = list(dict.fromkeys(use["scene"] for use in uses if use["part"] == "sweep"))
-    sweep = [
-        {"items": int(scene.removeprefix("sweep_")), "schemes": found}
-        for scene in scenes
-        if (found := scene_table(uses, cells, "sweep", scene))
-    ]
+    """Return all tables by name."""
+
+    def scenes(part: str) -> dict[str, list[Row]]:
+        labels = dict.fromkeys(use["scene"] for use in uses if use["part"] == part)
+        rows = {label: scene_table(uses, cells, label) for label in labels}
+        return {label: found for label, found in rows.items() if found}
+
+    def savings(first: str, second: str) -> Row:
+        return {planner: paired(uses, cells, (first, planner), (second, planner))
+                for planner in PLANNERS}  # fmt: skip
+
     policy = [cell for cell in cells.values() if cell["planner"] == "policy"]
     return {
-        "scenarios": {
-            scene: found
-            for scene in SCENARIOS
-            if (found := scene_table(uses, cells, "scenarios", scene))
-        },
-        "sweep": sweep,
+        "scenarios": scenes("scenarios"),
+        "sweep": [
+            {"items": int(scene.removeprefix("sweep_")), "schemes": found}
+            for scene, found in scenes("sweep").items()
+        ],
         "random": random_table(uses, cells),
-        "order_saving": {
-            planner: paired(uses, cells, ("lkh", planner), ("random", planner))
-            for planner in PLANNERS
-        },
-        "time_order_saving": {
-            planner: paired(uses, cells, ("lkh-time", planner), ("lkh", planner))
-            for planner in PLANNERS
-        },
+        "order_saving": savings("lkh", "random"),
+        "time_order_saving": savings("lkh-time", "lkh"),
         "policy_saving": {
             planner: paired(uses, cells, ("lkh", "policy"), ("lkh", planner))
             for planner in PLANNERS[1:]

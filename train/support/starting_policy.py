@@ -13,16 +13,11 @@ from mjcollect.learning.policy import UNREADABLE, TrainedPolicy, weights_file
 from train.support.run_folder import RunError
 
 
-def start_from(
-    path: Path, learn: LearnConfig, flag: str = "--weights"
-) -> tuple[TrainedPolicy, LearnConfig]:
+def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
     """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
 
     Its observation and width are taken over. Unless `learn` asks for something else than usual, no
     update is made where it is good enough.
-
-    Args:
-        flag: that named the file.
 
     Raises:
         RunError: there is no such policy, or `learn` asks for another observation or width.
@@ -31,7 +26,7 @@ def start_from(
         policy = TrainedPolicy.load(weights_file(path))
     except UNREADABLE as error:
         raise RunError(
-            f"{flag}: {path}: holds no policy ({type(error).__name__}); name a "
+            f"--policy: {path}: holds no policy ({type(error).__name__}); name a "
             "policy.safetensors of train.generalist or a segment's policy.pt"
         ) from None
     usual = LearnConfig()
@@ -39,7 +34,7 @@ def start_from(
         asked = getattr(learn, field)
         if asked not in (value, getattr(usual, field)):
             raise RunError(
-                f"--{field}: {asked}: the policy of {flag} {path} has {value}; leave one out"
+                f"--{field}: {asked}: the policy of --policy {path} has {value}; leave one out"
             )
     least = learn.least_updates
     return policy, replace(
@@ -50,17 +45,17 @@ def start_from(
     )
 
 
-def check_size(policy: TrainedPolicy, course: Course, flag: str = "--weights") -> None:
+def check_size(policy: TrainedPolicy, course: Course) -> None:
     """Refuse a policy that takes another number of inputs than its observation has here.
 
     Raises:
-        RunError: naming the `flag` that named the policy.
+        RunError: it does.
     """
     simulations = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
     size, takes = simulations.observe().shape[1], policy.inputs
     simulations.close()
     if takes != size:
         raise RunError(
-            f"{flag}: a policy of {takes} inputs, but the observation {policy.observation} has "
+            f"--policy: a policy of {takes} inputs, but the observation {policy.observation} has "
             f"{size} here; name one of this version and for such scenes, or learn from scratch"
         )

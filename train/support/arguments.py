@@ -1,0 +1,81 @@
+"""The flags that the programs which train share, and what they refuse before any work."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import tyro
+
+from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.policy import NO_POLICY
+from train.support.presets import PresetName
+from train.support.run_folder import RunError
+
+Device = Literal["cpu", "cuda"]
+
+
+@dataclass(frozen=True)
+class TrainingArgs:
+    """Flags of `train.segment` and `train.mission`."""
+
+    scene: str = "scenario_1"
+    """Scene file, or the name of a bundled scene."""
+    order: str = "lkh"
+    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    out: Path | None = None
+    """Run folder; default: one below runs/ that is named after scene, program and seed."""
+    seed: int = 0
+    """Seed of every random stream; each segment of a mission gets one of its own from it."""
+    device: Device = "cpu"
+    """Where the networks live; simulation stays on the CPU."""
+    resume: bool = False
+    """Go on with the run in the folder."""
+    overwrite: bool = False
+    """Start anew in a folder that is not empty."""
+    video: bool = True
+    """Render segment.mp4 and mission.mp4; the segments' own only up to 10 items."""
+    plots: bool = True
+    """Draw the plots, and fly the MPC in each segment to show what there is to beat."""
+    checkpoint_every: int = 1000
+    """Updates between checkpoints."""
+    policy: Path = NO_POLICY
+    """Policy to go on from: shipped, none (learn from nothing, as the paper does), or a file:
+    policy.safetensors or policy.pt."""
+    preset: PresetName | None = None
+    """Settings by name; flags given beside it win. paper: Algorithm 1 as the paper states it."""
+    slot: float | None = None
+    """Seconds of a slot (the paper's delta) in place of the scene file's, such as 0.2 or 1.0."""
+    learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = dataclasses.field(
+        default_factory=LearnConfig
+    )
+    """Settings of the learner."""
+
+
+def check_least(args: object, **least: int) -> None:
+    """Refuse numbers that are too small.
+
+    Args:
+        least: the least value of each field of `args`.
+
+    Raises:
+        RunError: naming flag, value and bound.
+    """
+    for field, bound in least.items():
+        value = getattr(args, field)
+        if value < bound:
+            too_small = "must not be negative" if bound == 0 else f"must be at least {bound}"
+            raise RunError(f"--{field.replace('_', '-')}: {value}: {too_small}")
+
+
+def check_device(device: Device) -> None:
+    """Refuse a device that is not there.
+
+    Raises:
+        RunError: torch sees no CUDA device.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
