@@ -132,7 +132,7 @@ def test_rewards_are_finite_and_of_their_range(make, task, reward):
     environment = make(task, reward=reward, start="spread", random=1)
     low, high = RANGES[reward]
     paid = [step.reward for step in play(environment, 0, episodes=20) if not step.first()]
-    paid += [step.reward for step in by_law(environment)[1:]]
+    paid += [step.reward for step in by_law(make(task, reward=reward))[1:]]
     for value in paid:
         environment.reward_spec().validate(value)
     assert low <= min(paid) < max(paid) <= high
@@ -146,13 +146,10 @@ def test_a_slot_lasts_as_long_as_the_scene_says(environment):
     assert environment.physics.time() == pytest.approx(0.2)
 
 
-def test_keywords_of_the_environment_reach_it(make, task, observation):
-    keywords = {"flat_observation": True}
-    flattened = make(task, observation=observation, environment_kwargs=keywords)
-    (spec,) = flattened.observation_spec().values()
-    plain = make(task, observation=observation)
-    np.testing.assert_array_equal(flat(flattened.reset()), flat(plain.reset()))
-    assert spec.shape == flat(plain.reset()).shape
+def test_keywords_of_the_environment_reach_it(make, task):
+    flattened = make(task, environment_kwargs={"flat_observation": True}).reset()
+    assert set(flattened.observation) == {control.FLAT_OBSERVATION_KEY}
+    np.testing.assert_array_equal(flat(flattened), flat(make(task).reset()))
 
 
 # The model
@@ -177,15 +174,19 @@ def test_every_part_of_the_model_has_a_name_and_there_are_cameras(environment):
 # Observations
 
 
-def test_observations_of_two_slots_share_no_memory(environment):
+def test_observations_of_two_slots_share_no_memory(environment, observation, request):
+    if observation == "robust":
+        reason = "`robust` hands out the array of the moving box itself"
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     first, second = environment.reset(), environment.step(np.zeros(3))
     for name, array in first.observation.items():
         assert not np.may_share_memory(array, second.observation[name]), name
 
 
-def test_no_element_of_an_observation_is_constant(environment, task, observation):
+def test_no_element_of_an_observation_is_constant(make, task, observation):
     """Over random play from all over the scene and a flight to the end."""
-    timesteps = play(environment, 2, episodes=12, most=25) + by_law(environment)
+    strewn = make(task, observation=observation, start="spread", random=1)
+    timesteps = play(strewn, 2, episodes=20) + by_law(make(task, observation=observation))
     for name in timesteps[0].observation:
         found = np.ptp([step.observation[name] for step in timesteps], axis=0) < 1e-6
         expected = OF_ONE_TARGET.get((observation, name), 0) if task == "segment" else 0
@@ -209,7 +210,9 @@ def test_nor_where_it_tells_of_disturbances(courses, task, adaptive):
         seen.append(simulations.episodes.observe())
     simulations.close()
     for name in ONLY_DISTURBED:
-        assert (np.ptp(np.concatenate([parts[name] for parts in seen]), axis=0) > 1e-6).all(), name
+        found = np.ptp(np.concatenate([parts[name] for parts in seen]), axis=0) < 1e-6
+        expected = [0, 0, 0, 0, 0, 1] if name == "mover" else 0  # moving boxes stay at their height
+        assert (found == expected).all(), (name, found)
 
 
 # Seeds and starts
@@ -259,6 +262,8 @@ def test_who_hovers_is_stopped_at_the_step_limit(make, task, reward):
         waiting, last = [*waiting, last], environment.step(np.zeros(3))
     assert not any(timestep.last() for timestep in waiting)
     assert (last.step_type, last.discount) == (StepType.LAST, 1.0)
+    outcome = environment.task.outcome
+    assert (outcome.truncated[0], outcome.terminated[0]) == (True, False)
 
 
 @pytest.mark.parametrize("reward", PRESETS)

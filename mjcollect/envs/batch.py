@@ -95,8 +95,9 @@ class Simulations:
         which = np.arange(self.count) if chosen is None else chosen
         if len(which) == 0:
             return
-        if len(self.episodes.courses) == 1:
-            q, v = self.episodes.courses[0].starts(self.start, len(which), self.rng)
+        courses = self.episodes.targets.courses
+        if len(courses) == 1:
+            q, v = courses[0].starts(self.start, len(which), self.rng)
         else:
             drawn = [self.episodes.course(i).starts(self.start, 1, self.rng) for i in which]
             q = np.concatenate([pair[0] for pair in drawn])

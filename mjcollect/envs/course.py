@@ -38,7 +38,7 @@ class Course:
         scene: the scene.
         nodes: start node, then the targets in turn; item index, or -1 for the depot.
         before: items collected before the course begins.
-        beyond: the node that the tour goes on to afterwards, if it does.
+        next_node: the node that the tour goes on to afterwards, if it does.
         folder: where `save_guidance` of the same course has put files, if it has.
         guidance: one per target, from the node before.
         step_limit: slots after which an episode is cut off (P).
@@ -47,7 +47,7 @@ class Course:
     scene: Scene
     nodes: tuple[int, ...]
     before: tuple[int, ...] = ()
-    beyond: int | None = None
+    next_node: int | None = None
     folder: Path | None = None
     guidance: tuple[Guidance, ...] = field(init=False)
     step_limit: int = field(init=False)
@@ -59,7 +59,7 @@ class Course:
             GuidanceError: a target cannot be reached.
         """
         ways = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
-        nexts = [*self.nodes[2:], self.beyond]
+        nexts = [*self.nodes[2:], self.next_node]
         fields = [
             self._guidance(frm, to, after) for (frm, to), after in zip(ways, nexts, strict=True)
         ]
@@ -72,8 +72,8 @@ class Course:
         object.__setattr__(self, "step_limit", limit)
 
     def _guidance(self, frm: int, to: int, after: int | None) -> Guidance:
-        beyond = None if after is None else self.scene.point(after)
-        leg = self.scene, to, place(self.scene, frm), beyond
+        next_goal = None if after is None else self.scene.point(after)
+        leg = self.scene, to, place(self.scene, frm), next_goal
         saved = None if self.folder is None else cache.load(self.folder, *leg)
         if saved is not None:
             return saved
@@ -103,8 +103,8 @@ class Course:
                 f"{len(order) + 1} segments"
             )
         all_legs = legs(order)
-        beyond = all_legs[index + 1][1] if index + 1 < len(all_legs) else None
-        return cls(scene, all_legs[index], tuple(order[:index]), beyond, folder)
+        next_node = all_legs[index + 1][1] if index + 1 < len(all_legs) else None
+        return cls(scene, all_legs[index], tuple(order[:index]), next_node, folder)
 
     @classmethod
     def mission(cls, scene: Scene, order: tuple[int, ...], folder: Path | None = None) -> Course:

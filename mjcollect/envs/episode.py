@@ -6,26 +6,23 @@ velocities only, not which simulator moves the body.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.observation import ADAPTIVE, FRAMED, OBSERVATIONS, Parts, State
 from mjcollect.envs.reward import PRESETS
+from mjcollect.envs.targets import Targets
 from mjcollect.flight import disturbance_estimate
 from mjcollect.flight.collection import command
 from mjcollect.flight.contact import BOUNDS_TOLERANCE, Slot, judge
 from mjcollect.flight.disturbance import MARGIN, REST_SPEED, Disturbances
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
-from mjcollect.geometry.boxes import FAR
-from mjcollect.geometry.compiled import Array, Bools
-from mjcollect.guidance.approach import LOOK_AHEAD, Approach, approach_rows, frame_rows
-from mjcollect.guidance.guidance import STOP_SHARE
-from mjcollect.guidance.law import law_rows
+from mjcollect.geometry.compiled import Array, Bools, Indices
+from mjcollect.guidance.approach import Approach
 
 SAVED = (
     "truth",
@@ -95,6 +92,7 @@ class Episodes:
         commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much its acceleration
             differed from it. sums: of both so far, see `adaptation`.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
+        approach: how each one stands towards its target.
     """
 
     def __init__(
@@ -109,56 +107,30 @@ class Episodes:
         Raises:
             ValueError: the number of courses is neither 1 nor `count`.
         """
-        if len(courses) not in (1, count):
-            raise ValueError(f"courses: {len(courses)}: must be 1 or the batch size {count}")
-        self.courses, self.count, self.rules = tuple(courses), count, rules
-        self.disturbances = disturbances
-        scenes = [course.scene for course in courses]
+        self.targets = Targets(courses, count)
+        self.count, self.rules, self.disturbances = count, rules, disturbances
+        self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
         self._adapts = rules.observation in ADAPTIVE
         self._framed = rules.observation in FRAMED
+        scenes = [course.scene for course in courses]
         if self._adapts or disturbances is not None:  # each has a world of its own
             scenes = [self.course(index).scene for index in range(count)]
         elif all(scene is scenes[0] for scene in scenes):
             scenes = scenes[:1]
         self.world = World.stack(scenes)
-        self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
-        # All targets of all distinct courses in one list; each episode walks a stretch of it.
-        distinct = list(dict.fromkeys(courses))
-        self._guidance = [field for course in distinct for field in course.guidance]
-        self._node = np.array([node for course in distinct for node in course.nodes[1:]])
-        offset = np.cumsum([0, *(len(course.guidance) for course in distinct)])
-        which = np.array([distinct.index(course) for course in courses])
-        which = np.broadcast_to(which, (count,))
-        self._first, self._last = offset[which], offset[which + 1] - 1
-        self._goal = np.array([field.goal for field in self._guidance])
-        self._tolerance = np.array([field.tolerance for field in self._guidance])
-        self.step_limit = np.array([distinct[w].step_limit for w in which])
-        most = max(len(course.scene.items) for course in courses)
-        self._items = np.full((count, most, 3), FAR)
-        self._depot = np.empty((count, 3))
-        for index, w in enumerate(which):
-            scene = distinct[w].scene
-            self._items[index, : len(scene.items)] = scene.items
-            self._depot[index] = scene.depot
         self.truth, self.observed, self.v, self.drift, self.commanded = (
             np.zeros((count, 3)) for _ in range(5)
         )
         self.sums = np.zeros((count, disturbance_estimate.SUMS))
         self._gain, self._push = disturbance_estimate.estimate(self.sums)
         self._mover = np.zeros((count, 6))
-        self.target = self._first.copy()
-        self._before = np.zeros((count, most), dtype=bool)
-        for index, w in enumerate(which):
-            self._before[index, list(distinct[w].before)] = True
-        self.collected = self._before.copy()
+        self.target, self.collected = self.targets.first.copy(), self.targets.before.copy()
         self.steps = np.zeros(count, dtype=np.int64)
-        self.crashed = np.zeros(count, dtype=bool)
-        self._stop = np.zeros(count, dtype=bool)
+        self.crashed, self.shielded, self._stop = (np.zeros(count, dtype=bool) for _ in range(3))
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
-        self.shielded = np.zeros(count, dtype=bool)
         self._all = np.arange(count)
-        self._notice()
-        self._approach = self._look()
+        self._update_estimates()
+        self.approach = self._approach()
 
     @property
     def q(self) -> Array:
@@ -168,47 +140,47 @@ class Episodes:
     @property
     def boxes(self) -> Array:
         """Boxes (N, M, 2, 3) as decisions see them, moving ones last; N is 1 where all are one."""
-        return self._noticed.boxes
+        return self._seen_world.boxes
 
     def course(self, index: int) -> Course:
         """The course of episode `index`."""
-        return self.courses[index if len(self.courses) > 1 else 0]
+        return self.targets.course(index)
 
-    def reset(self, which: NDArray[np.intp], q: Array, v: Array) -> None:
+    def reset(self, which: Indices, q: Array, v: Array) -> None:
         """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
         self.truth[which], self.v[which] = q, v
         self.commanded[which] = self.drift[which] = self.sums[which] = 0.0
-        self.target[which] = self._first[which]
+        self.target[which] = self.targets.first[which]
         if self.disturbances is not None:
-            self.disturbances.begin(which, q, self._goal[self.target[which]])
+            self.disturbances.begin(which, q, self.targets.goal[self.target[which]])
             self.observed[which] = self.disturbances.seen(q, which)
-        self.collected[which] = self._before[which]
+        self.collected[which] = self.targets.before[which]
         self.steps[which] = 0
         self.crashed[which] = False
         self.left[which] = 0
-        self._notice()
-        self._look_anew(self._approach, which)
+        self._update_estimates()
+        self._update_approach(self.approach, which)
 
     def load(self, state: dict[str, Array]) -> None:
         """Go on from saved attributes, `SAVED`."""
         for name, value in state.items():
             setattr(self, name, value)
-        self._notice()
-        self._approach = self._look()
+        self._update_estimates()
+        self.approach = self._approach()
 
     def begin_slot(self, action: Array) -> Array:
         """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3).
 
         Actions are in units of a_max, in the frame of the path with an observation in FRAMED.
         """
-        goal, tolerance = self._goal[self.target], self._tolerance[self.target]
+        goal, tolerance = self.targets.goal[self.target], self.targets.tolerance[self.target]
         if self._framed:
             known = np.where(np.isfinite(action), action, 0.0)
-            action = np.einsum("nk,nkj->nj", known, self._approach.frame)
+            action = np.einsum("nk,nkj->nj", known, self.approach.frame)
         self.commanded, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
         if self.rules.shield:
             shield(
-                self._noticed, self.q, self.v, self.commanded, self._stop, self.held, self.left,
+                self._seen_world, self.q, self.v, self.commanded, self._stop, self.held, self.left,
                 self.shielded,
             )  # fmt: skip
         return self.commanded
@@ -226,7 +198,7 @@ class Episodes:
             sensed = sensed | self.disturbances.movers.touched(self.world, whole)
             self.disturbances.movers.move(self.world.slot)
         slot = judge(self.world, self.truth, path, sensed, self._stop, margin)
-        before = self._approach
+        before = self.approach
         self.drift = (v - self.v) / self.world.slot - self.commanded
         if self._adapts:
             a_max = self.world.a_max
@@ -243,142 +215,77 @@ class Episodes:
         if self.disturbances is not None:
             slot = replace(slot, arrived=slot.arrived & self._rests())
             self.observed = self.disturbances.seen(self.truth)
-        self._notice()
-        after = self._look()
+        self._update_estimates()
+        after = self._approach()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
         self.crashed |= slot.crashed
         self.steps += 1
-        success = slot.arrived & (self.target == self._last)
-        node = self._node[self.target]
+        success = slot.arrived & (self.target == self.targets.last)
+        node = self.targets.node[self.target]
         taken = np.flatnonzero(slot.arrived & (node >= 0))
         self.collected[taken, node[taken]] = True
         moving = slot.arrived & ~success
-        self._approach = after
+        self.approach = after
         if moving.any():
             self.target = self.target + moving
-            self._look_anew(after, np.flatnonzero(moving))
+            self._update_approach(after, np.flatnonzero(moving))
         terminated = success | ended
-        truncated = ~terminated & (self.steps >= self.step_limit)
+        truncated = ~terminated & (self.steps >= self.targets.step_limit)
         return Outcome(reward, slot, terminated, truncated, success, self.shielded.copy())
 
     def _rests(self) -> Bools:
         """Where (N,) a disturbed stop is one: slow enough, and within the tolerance."""
-        miss = np.linalg.norm(self.truth - self._goal[self.target], axis=1)
+        miss = np.linalg.norm(self.truth - self.targets.goal[self.target], axis=1)
         slow = np.linalg.norm(self.v, axis=1) <= REST_SPEED
-        return np.asarray(slow & (miss <= self._tolerance[self.target]))
+        return np.asarray(slow & (miss <= self.targets.tolerance[self.target]))
 
-    def observe(self, which: NDArray[np.intp] | None = None) -> Parts:
+    def observe(self, which: Indices | None = None) -> Parts:
         """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""
         state = State(
-            self.q,
-            self.v,
-            self._approach,
-            self._items,
-            self.collected,
-            self._depot,
-            self.commanded,
-            self.drift,
-            self._gain,
-            self._push,
-            self._mover,
-        )
+            self.q, self.v, self.approach, self.targets.items, self.collected, self.commanded,
+            self.drift, self._gain, self._push, self._mover,
+        )  # fmt: skip
         if which is None:
-            return self._observation(self._noticed, state)
-        return self._observation(self._noticed.rows(which), state.rows(which))
+            return self._observation(self._seen_world, state)
+        return self._observation(self._seen_world.rows(which), state.rows(which))
 
     @property
-    def onward(self) -> Array:
-        """Seconds (N,) at full speed that the current place costs on the tour's next leg."""
-        return np.asarray(self._approach.onward / self.world.v_max[..., 0])
+    def next_cost(self) -> Array:
+        """Seconds (N,) at full speed that the current place costs on the tour's next segment."""
+        return np.asarray(self.approach.next_excess / self.world.v_max[..., 0])
 
     def guidance_action(self) -> Array:
-        """Actions (N, 3) of the guidance law from here, see `kernels.law`.
+        """Actions (N, 3) of the guidance law from here, see `guidance.law`.
 
         With an adaptive observation, for the acceleration that is left, and against the push.
         """
-        law = np.empty((self.count, 3))
-        for target, mine in self._by_target(self._all):
-            guide = self._guidance[target]
-            law_rows(self._noticed, guide.way, guide.slack, mine, guide.goal, self.q, self.v, law)
+        law = self.targets.law(self._seen_world, self.target, self.q, self.v)
         if self._adapts:
             law *= disturbance_estimate.usable(self._gain, self._push)
             law = disturbance_estimate.counter(law, self._gain, self._push)
         if self._framed:
-            law = np.einsum("nj,nkj->nk", law, self._approach.frame)
+            law = np.einsum("nj,nkj->nk", law, self.approach.frame)
         return law
 
-    def _notice(self) -> None:
+    def _update_estimates(self) -> None:
         """Bring up to date what is known of disturbances: the world as decisions see it."""
-        self._noticed = self.world
+        self._seen_world = self.world
         if self._adapts:
             self._gain, self._push = disturbance_estimate.estimate(self.sums)
             a_max = self.world.a_max * disturbance_estimate.usable(self._gain, self._push)
-            self._noticed = self._noticed._replace(a_max=a_max)
+            self._seen_world = self._seen_world._replace(a_max=a_max)
         if self.disturbances is not None and self.disturbances.level.mover > 0.0:
             movers = self.disturbances.movers
             boxes = np.concatenate([self.world.boxes, movers.boxes], axis=1)
-            self._noticed = self._noticed._replace(boxes=boxes)
+            self._seen_world = self._seen_world._replace(boxes=boxes)
             self._mover = movers.seen(self.q, self.world.v_max)
 
-    def _look(self) -> Approach:
-        approach = Approach(
-            offset=np.empty((self.count, 3)),
-            distance=np.empty(self.count),
-            direction=np.empty((self.count, 3)),
-            closing=np.empty(self.count),
-            speed=np.empty(self.count),
-            returning=np.empty(self.count, dtype=bool),
-            ahead=np.empty((self.count, len(LOOK_AHEAD), 3)),
-            near=np.empty(self.count),
-            far=np.empty(self.count),
-            heading=np.empty((self.count, 3)),
-            after=np.zeros((self.count, 3)),
-            frame=np.empty((self.count, 3, 3)),
-            onward=np.zeros(self.count),
-        )
-        self._look_anew(approach, self._all)
+    def _approach(self) -> Approach:
+        """A new approach of all episodes."""
+        approach = Approach.empty(self.count)
+        self._update_approach(approach, self._all)
         return approach
 
-    def _look_anew(self, approach: Approach, which: NDArray[np.intp]) -> None:
+    def _update_approach(self, approach: Approach, which: Indices) -> None:
         """Write the rows `which` of an approach."""
-        for target, mine in self._by_target(which):
-            guide = self._guidance[target]
-            approach_rows(
-                self._noticed,
-                guide.way,
-                mine,
-                guide.goal,
-                STOP_SHARE * guide.tolerance,
-                LOOK_AHEAD,
-                self.q,
-                self.v,
-                approach.offset,
-                approach.distance,
-                approach.direction,
-                approach.closing,
-                approach.near,
-                approach.far,
-                approach.ahead,
-                approach.heading,
-            )
-            if guide.beyond is not None:
-                extra = float(np.linalg.norm(guide.goal - guide.beyond))
-                approach.after[mine] = (guide.beyond - guide.goal) / max(extra, 1e-9)
-                approach.onward[mine] = np.linalg.norm(self.q[mine] - guide.beyond, axis=-1) - extra
-            approach.speed[mine] = np.linalg.norm(self.v[mine], axis=1)
-            approach.returning[mine] = self._node[target] < 0
-            frame = np.empty((len(mine), 3, 3))
-            frame_rows(approach.heading[mine], frame)
-            approach.frame[mine] = frame
-
-    def _by_target(self, which: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.intp]]]:
-        """The episodes `which` in groups with the same current target."""
-        if len(self._guidance) == 1:
-            yield 0, which
-            return
-        if len(which) == 1:
-            yield int(self.target[which[0]]), which
-            return
-        targets = self.target[which]
-        for target in np.unique(targets):
-            yield int(target), which[targets == target]
+        self.targets.update_approach(self._seen_world, self.target, self.q, self.v, which, approach)

@@ -9,14 +9,14 @@ section IV-B. All return named parts, each (N, d), in order.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections import namedtuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import FAR, box_offset, nearest_point_offset
-from mjcollect.geometry.compiled import Array, Bools, compiled, plain
+from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.vectors import dot, norm
 from mjcollect.guidance.approach import LOOK_AHEAD, Approach
 
@@ -36,18 +36,20 @@ WIDTHS = {  # parts of `guided`, in natural units: v_max, a_max, the distance of
     "next_direction": 3,
 }
 Parts = dict[str, Array]
+# Where each part begins in a row of `guided`: compiled code writes there, and parts are cut there.
+AT: Any = namedtuple("Offsets", WIDTHS)(*np.cumsum([0, *WIDTHS.values()])[:-1].tolist())
+SIZE = sum(WIDTHS.values())
 
 
-@dataclass(frozen=True)
-class State:
+class State(NamedTuple):
     """What an observation is made of.
 
     Attributes:
         q, v: (N, 3). approach: the way to the current target.
         items: (N, K, 3), as padded. collected: (N, K).
-        depot: (N, 3). commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much the
-            slot differed from it. gain, push: (N, 1), (N, 3) estimates, see `adaptation`.
-        mover: (N, 6), see `Movers.seen`.
+        commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much the slot differed
+            from it. gain, push: (N, 1), (N, 3), see `flight.disturbance_estimate`.
+        mover: (N, 6), see `MovingBoxes.seen`.
     """
 
     q: Array
@@ -55,24 +57,17 @@ class State:
     approach: Approach
     items: Array
     collected: Bools
-    depot: Array
     commanded: Array
     drift: Array
     gain: Array
     push: Array
     mover: Array
 
-    def rows(self, which: NDArray[np.intp]) -> State:
+    def rows(self, which: Indices) -> State:
         """The state of the simulations `which` (n,) only."""
-        approach = Approach(
-            **{field.name: getattr(self.approach, field.name)[which] for field in fields(Approach)}
+        return State._make(
+            part.rows(which) if isinstance(part, Approach) else part[which] for part in self
         )
-        arrays = {
-            field.name: getattr(self, field.name)[which]
-            for field in fields(State)
-            if field.name != "approach"
-        }
-        return State(approach=approach, **arrays)
 
 
 @compiled
@@ -116,68 +111,70 @@ def squash(vector: Array) -> None:
 
 
 @compiled
+def braking_part(
+    near: float, far: float, closing: float, a_max: float, v_max: float, slot: float, out: Array
+) -> None:
+    """How a stop stands: `out` (8,).
+
+    How much faster than one can still stop; share of a_max that a stop takes at the near and the
+    far end of what will do; slots until it must begin, for either; and slots to rest as an angle:
+    only whole ones are flown.
+    """
+    speed, change = max(closing, 0.0), a_max * slot
+    braking = speed**2 / (2 * a_max)
+    fastest = min(math.sqrt(2 * a_max * near), v_max)
+    stride, turn = max(speed, change) * slot, 2 * math.pi * speed / change
+    out[0] = math.tanh((closing - fastest) / (2.5 * change))
+    out[1] = min(braking / max(near, 0.1), 2.0)
+    out[2] = min(braking / max(far, 0.1), 2.0)
+    out[3] = math.tanh((near - braking) / (4 * stride))
+    out[4] = math.tanh((near - braking) / stride)
+    out[5] = math.tanh((far - braking) / stride)
+    out[6] = math.sin(turn)
+    out[7] = math.cos(turn)
+
+
+@compiled
 def guided_rows(
-    world: World, q: Array, v: Array, goal_offset: Array, direction: Array, closing: Array,
-    near: Array, far: Array, ahead: Array, after: Array, frame: Array,
-    nearest: int, reach: float, beyond: float, out: Array,
-) -> None:  # fmt: skip
-    """See `observation.guided`; the parts one after another, in the order of `GUIDED`."""
-    gaps, offset, boxes, rest = np.empty(nearest), np.empty(3), np.empty(3 * nearest), np.empty(3)
+    world: World, q: Array, v: Array, approach: Approach, frame: Array, out: Array
+) -> None:
+    """Rows (N, SIZE) of `guided` with vectors in frames (N, 3, 3); each part at its place in AT."""
+    gaps, offset = np.empty(NEAREST_BOXES), np.empty(3)
+    boxes, rest = np.empty(3 * NEAREST_BOXES), np.empty(3)
     for i in range(len(q)):
-        w, row, at, axes = scene_of(world, i), out[i], 0, frame[i]
+        w, row, axes, goal = scene_of(world, i), out[i], frame[i], approach.offset[i]
         a_max, v_max, bounds = world.a_max[w, 0], world.v_max[w, 0], world.bounds[w]
-        stopping, change = v_max**2 / (2 * a_max), a_max * world.slot
-        seen_from(axes, v[i], v_max, row[0:3])
-        seen_from(axes, v[i], 2 * change, row[3:6])
-        squash(row[3:6])
+        stopping, near = v_max**2 / (2 * a_max), approach.near[i]
+        seen_from(axes, v[i], v_max, row[AT.velocity :])
+        seen_from(axes, v[i], 2 * (a_max * world.slot), row[AT.slowness :])
+        squash(row[AT.slowness : AT.slowness + 3])
+        row[AT.guide_direction : AT.guide_direction + 3] = approach.direction[i]
+        for a in range(1, approach.ahead.shape[1]):
+            to = AT.guide_ahead + 3 * (a - 1)
+            seen_from(axes, approach.ahead[i, a], 1.6 * stopping, row[to:])
+        row[AT.guide_distance] = near / (5 * stopping)
+        row[AT.guide_distance + 1] = math.tanh(near / stopping)
+        row[AT.guide_distance + 2] = math.tanh(5 * near / stopping)
+        seen_from(axes, goal, 5 * stopping, row[AT.goal_offset :])
+        seen_from(axes, goal, stopping, row[AT.goal_offset + 3 :])
+        seen_from(axes, goal, stopping / 5, row[AT.goal_offset + 6 :])
+        squash(row[AT.goal_offset + 3 : AT.goal_offset + 9])
+        braking_part(
+            near, approach.far[i], approach.closing[i], a_max, v_max, world.slot, row[AT.braking :]
+        )
+        nearest_boxes(world.boxes[w], q[i], REACH, FAR, gaps, offset, boxes)
+        for b in range(NEAREST_BOXES):
+            seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[AT.boxes + 3 * b :])
         for k in range(3):
-            row[6 + k] = direction[i, k]
-        at = 9
-        for a in range(1, ahead.shape[1]):
-            seen_from(axes, ahead[i, a], 1.6 * stopping, row[at : at + 3])
-            at += 3
-        row[at] = near[i] / (5 * stopping)
-        row[at + 1] = math.tanh(near[i] / stopping)
-        row[at + 2] = math.tanh(5 * near[i] / stopping)
-        at += 3
-        seen_from(axes, goal_offset[i], 5 * stopping, row[at : at + 3])
-        seen_from(axes, goal_offset[i], stopping, row[at + 3 : at + 6])
-        seen_from(axes, goal_offset[i], stopping / 5, row[at + 6 : at + 9])
-        squash(row[at + 3 : at + 9])
-        at += 9
-        # How much faster than one can still stop; share of a_max that a stop takes at the near
-        # and the far end of what will do; slots until it must begin, for either; and slots to
-        # rest: only whole ones are flown.
-        speed = max(closing[i], 0.0)
-        braking = speed**2 / (2 * a_max)
-        first, last = near[i], far[i]
-        fastest = min(math.sqrt(2 * a_max * first), v_max)
-        stride, turn = max(speed, change) * world.slot, 2 * math.pi * speed / change
-        row[at] = math.tanh((closing[i] - fastest) / (2.5 * change))
-        row[at + 1] = min(braking / max(first, 0.1), 2.0)
-        row[at + 2] = min(braking / max(last, 0.1), 2.0)
-        row[at + 3] = math.tanh((first - braking) / (4 * stride))
-        row[at + 4] = math.tanh((first - braking) / stride)
-        row[at + 5] = math.tanh((last - braking) / stride)
-        row[at + 6] = math.sin(turn)
-        row[at + 7] = math.cos(turn)
-        at += 8
-        nearest_boxes(world.boxes[w], q[i], reach, beyond, gaps, offset, boxes)
-        for b in range(nearest):
-            seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[at : at + 3])
-            at += 3
-        for k in range(3):
-            row[at + k] = math.tanh((q[i, k] - bounds[0, k]) / reach)
-            row[at + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / reach)
-        at += 6
-        # Where full braking from now on would end, as seen from the goal; where the tour goes on.
+            row[AT.walls + k] = math.tanh((q[i, k] - bounds[0, k]) / REACH)
+            row[AT.walls + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / REACH)
         size = norm(v[i])
         for k in range(3):
-            rest[k] = v[i, k] * (size / (2 * a_max)) - goal_offset[i, k]
-        seen_from(axes, rest, 20.0, row[at : at + 3])
-        seen_from(axes, rest, 4.0, row[at + 3 : at + 6])
-        squash(row[at : at + 6])
-        seen_from(axes, after[i], 1.0, row[at + 6 : at + 9])
+            rest[k] = v[i, k] * (size / (2 * a_max)) - goal[k]
+        seen_from(axes, rest, 20.0, row[AT.rest :])
+        seen_from(axes, rest, 4.0, row[AT.rest + 3 :])
+        squash(row[AT.rest : AT.rest + 6])
+        seen_from(axes, approach.next_direction[i], 1.0, row[AT.next_direction :])
 
 
 def guided(world: World, state: State) -> Parts:
@@ -195,30 +192,11 @@ def path(world: World, state: State) -> Parts:
 
 def _seen(world: World, state: State, frame: Array) -> Parts:
     """The parts of `guided` with vectors in frames (N, 3, 3)."""
-    approach = state.approach
-    flat = np.empty((len(state.q), sum(WIDTHS.values())))
-    guided_rows(
-        world,
-        state.q,
-        state.v,
-        approach.offset,
-        approach.direction,
-        approach.closing,
-        approach.near,
-        approach.far,
-        approach.ahead,
-        approach.after,
-        plain(frame),
-        NEAREST_BOXES,
-        REACH,
-        FAR,
-        flat,
-    )
-    parts, end = {}, 0
-    for name, width in WIDTHS.items():
-        parts[name] = flat[:, end : end + width]
-        end += width
-    return parts
+    flat = np.empty((len(state.q), SIZE))
+    guided_rows(world, state.q, state.v, state.approach, plain(frame), flat)
+    return {
+        name: flat[:, at : at + width] for (name, width), at in zip(WIDTHS.items(), AT, strict=True)
+    }
 
 
 def paper(world: World, state: State) -> Parts:
@@ -240,7 +218,7 @@ def paper(world: World, state: State) -> Parts:
 def robust(world: World, state: State) -> Parts:
     """`guided`, a moving box, the last slot's command and drift and estimates of it.
 
-    Accelerations are in units of what is left of a_max, see `adaptation.usable`.
+    Accelerations are in units of what is left of a_max, see `disturbance_estimate.usable`.
     """
     parts = guided(world, state)
     return {

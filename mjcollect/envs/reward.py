@@ -42,7 +42,7 @@ def time_reward(
 
     On arrival Phi' is minus the time that the place of the stop costs on the next leg.
     """
-    stopped = -after.onward / world.v_max[..., 0]
+    stopped = -after.next_excess / world.v_max[..., 0]
     ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
     return np.where(slot.crashed, crash, shaped)
@@ -54,7 +54,7 @@ def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gam
     `time` without the discount in its potential, so that a second counts the same wherever it is
     lost, and a short horizon sees what an action costs. On arrival as `time`.
     """
-    stopped = after.onward / world.v_max[..., 0]
+    stopped = after.next_excess / world.v_max[..., 0]
     left = np.where(slot.arrived, stopped, after.time_to_go(world))
     lost = world.slot + left - before.time_to_go(world)
     return np.where(slot.crashed, CRASH, -lost)

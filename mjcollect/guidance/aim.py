@@ -14,15 +14,15 @@ TURN_SHARE = 0.6  # of the tolerance: how far an aim is moved towards the inside
 
 
 def choose_aim(
-    scene: Scene, goal: Array, tolerance: float, start: Array, beyond: Array | None
+    scene: Scene, goal: Array, tolerance: float, start: Array, next_goal: Array | None
 ) -> Array:
     """The point (3,) of a goal's ball to fly to.
 
     On a tour, towards the inside of its turn, where the way there and the way on are shortest
     together, if there is room; else `feasible_aim`.
     """
-    if beyond is not None:
-        before, after = goal - start, beyond - goal
+    if next_goal is not None:
+        before, after = goal - start, next_goal - goal
         far = np.linalg.norm(before), np.linalg.norm(after)
         if min(far) > 2 * tolerance:
             turn = after / far[1] - before / far[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,8 @@ from mjcollect.guidance.way import Way, query_row
 LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
 
 
-@dataclass(frozen=True)
-class Approach:
-    """How each simulation stands towards its target.
+class Approach(NamedTuple):
+    """How each of N simulations stands towards its target.
 
     Attributes:
         offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
@@ -30,10 +29,11 @@ class Approach:
         near, far: (N,) metres along the path to where it enters the goal's ball and leaves it.
         heading: (N, 3) unit vector along which near, far and closing are told: `direction`, or the
             velocity's where that leads straight into the ball.
-        after: (N, 3) unit vector from the target to the tour's next; zero where the tour ends.
+        next_direction: (N, 3) unit vector from the target to the tour's next; zero where the tour
+            ends.
         frame: (N, 3, 3) axes of the path: along `heading`, level to its left, and upwards.
-        onward: (N,) metres by which the tour's next target is farther from the body than from the
-            current target; 0 where the tour ends.
+        next_excess: (N,) metres by which the tour's next target is farther from the body than from
+            the current target; 0 where the tour ends.
     """
 
     offset: Array
@@ -46,9 +46,32 @@ class Approach:
     near: Array
     far: Array
     heading: Array
-    after: Array
+    next_direction: Array
     frame: Array
-    onward: Array
+    next_excess: Array
+
+    @classmethod
+    def empty(cls, count: int) -> Approach:
+        """Room for `count` simulations; what is about the tour's next target is zero."""
+        return cls(
+            offset=np.empty((count, 3)),
+            distance=np.empty(count),
+            direction=np.empty((count, 3)),
+            closing=np.empty(count),
+            speed=np.empty(count),
+            returning=np.empty(count, dtype=bool),
+            ahead=np.empty((count, len(LOOK_AHEAD), 3)),
+            near=np.empty(count),
+            far=np.empty(count),
+            heading=np.empty((count, 3)),
+            next_direction=np.zeros((count, 3)),
+            frame=np.empty((count, 3, 3)),
+            next_excess=np.zeros(count),
+        )
+
+    def rows(self, which: Indices) -> Approach:
+        """The simulations `which` (n,) only."""
+        return Approach._make(values[which] for values in self)
 
     def time_to_go(self, world: World) -> Array:
         """Least time (N,) in s to come to rest in the goal's ball, on a line along the path."""
@@ -113,40 +136,6 @@ def aim_row(
 
 
 @compiled
-def approach_rows(
-    world: World, way: Way, which: Indices, goal: Array, radius: float,
-    strides: Array, q: Array, v: Array, offset: Array, distance: Array, direction: Array,
-    closing: Array, near: Array, far: Array, ahead: Array, heading: Array,
-) -> None:  # fmt: skip
-    """How the simulations `which` stand towards a goal (3,) with a ball, see `reward.Approach`.
-
-    The points `ahead`, `strides` metres from one to the next, show bends before they are reached.
-    """
-    point, towards = np.empty(3), np.empty(3)
-    for i in which:
-        w = scene_of(world, i)
-        left, chosen = query_row(way, q[i], direction[i])
-        distance[i] = left
-        heading[i] = direction[i]
-        if chosen == len(way.points) - 1:
-            change, speed = world.a_max[w, 0] * world.slot, norm(v[i])
-            braking = speed**2 / (2 * world.a_max[w, 0])
-            near[i], far[i] = aim_row(goal, radius, change, braking, q[i], v[i], heading[i])
-        else:
-            near[i], far[i] = stretch_row(way, goal, radius, left)
-        closing[i] = dot(v[i], heading[i])
-        for k in range(3):
-            offset[i, k] = goal[k] - q[i, k]
-            point[k], towards[k] = q[i, k], direction[i, k]
-        for a in range(len(strides)):
-            if a > 0:
-                left, _ = query_row(way, point, towards)
-            for k in range(3):
-                point[k] += towards[k] * min(strides[a], left)
-                ahead[i, a, k] = point[k] - q[i, k]
-
-
-@compiled
 def frame_row(direction: Array, frame: Array) -> None:
     """Axes (3, 3) of a path: along it, level to its left, and upwards from both."""
     x, y = direction[0], direction[1]
@@ -166,7 +155,37 @@ def frame_row(direction: Array, frame: Array) -> None:
 
 
 @compiled
-def frame_rows(direction: Array, frame: Array) -> None:
-    """`frame_row` of each (N, 3)."""
-    for i in range(len(direction)):
-        frame_row(direction[i], frame[i])
+def approach_rows(
+    world: World, way: Way, which: Indices, goal: Array, radius: float, strides: Array, q: Array,
+    v: Array, approach: Approach,
+) -> None:  # fmt: skip
+    """Write the rows `which` of an approach to a goal (3,) with a ball of `radius` m.
+
+    But for the speed, and what is about the depot and the tour's next target. The points `ahead`,
+    `strides` metres from one to the next, show bends before they are reached.
+    """
+    point, towards = np.empty(3), np.empty(3)
+    for i in which:
+        w = scene_of(world, i)
+        direction, heading = approach.direction[i], approach.heading[i]
+        left, chosen = query_row(way, q[i], direction)
+        approach.distance[i] = left
+        heading[:] = direction
+        if chosen == len(way.points) - 1:
+            change, speed = world.a_max[w, 0] * world.slot, norm(v[i])
+            braking = speed**2 / (2 * world.a_max[w, 0])
+            near, far = aim_row(goal, radius, change, braking, q[i], v[i], heading)
+        else:
+            near, far = stretch_row(way, goal, radius, left)
+        approach.near[i], approach.far[i] = near, far
+        approach.closing[i] = dot(v[i], heading)
+        for k in range(3):
+            approach.offset[i, k] = goal[k] - q[i, k]
+            point[k], towards[k] = q[i, k], direction[k]
+        for a in range(len(strides)):
+            if a > 0:
+                left, _ = query_row(way, point, towards)
+            for k in range(3):
+                point[k] += towards[k] * min(strides[a], left)
+                approach.ahead[i, a, k] = point[k] - q[i, k]
+        frame_row(heading, approach.frame[i])

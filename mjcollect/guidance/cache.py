@@ -24,10 +24,10 @@ from mjcollect.scene.scene import Scene
 ROOMS = ("geometry", "scene", "flight", "guidance")  # what builds guidance stands in these
 
 
-def file_name(scene: Scene, node: int, start: Array, beyond: Array | None = None) -> str:
+def file_name(scene: Scene, node: int, start: Array, next_goal: Array | None = None) -> str:
     """Name of the file of a guidance with these arguments, see `Guidance`."""
     leg = {"node": node, "start": start.tolist()}
-    leg["beyond"] = None if beyond is None else beyond.tolist()
+    leg["next_goal"] = None if next_goal is None else next_goal.tolist()
     text = json.dumps(scene.to_dict() | leg, sort_keys=True) + _code()
     return f"guidance-{hashlib.sha256(text.encode()).hexdigest()[:24]}.npz"
 
@@ -45,7 +45,7 @@ def save(built: Guidance, folder: Path) -> Path:
     Raises:
         OSError: it cannot be written.
     """
-    path = folder / file_name(built.scene, built.node, built.start, built.beyond)
+    path = folder / file_name(built.scene, built.node, built.start, built.next_goal)
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         # Whole or not at all, also if another process writes the same.
@@ -57,12 +57,14 @@ def save(built: Guidance, folder: Path) -> Path:
 
 
 def load(
-    folder: Path, scene: Scene, node: int, start: Array, beyond: Array | None = None
+    folder: Path, scene: Scene, node: int, start: Array, next_goal: Array | None = None
 ) -> Guidance | None:
     """The guidance saved in `folder`, the same as one built anew; None if it has no whole file."""
     try:
-        with np.load(folder / file_name(scene, node, start, beyond), allow_pickle=False) as saved:
+        with np.load(
+            folder / file_name(scene, node, start, next_goal), allow_pickle=False
+        ) as saved:
             way = Way(**{name: saved[name] for name in Way._fields})
-            return Guidance(scene, node, start, beyond, built=(saved["path"], way))
+            return Guidance(scene, node, start, next_goal, built=(saved["path"], way))
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         return None

@@ -52,7 +52,7 @@ class Guidance:
         scene: Scene,
         node: int,
         start: Array,
-        beyond: Array | None = None,
+        next_goal: Array | None = None,
         built: tuple[Array, Way] | None = None,
     ) -> None:
         """Build the fields.
@@ -60,7 +60,7 @@ class Guidance:
         Args:
             scene: the scene. node: item index, or -1 for the depot.
             start: (3,) where the way begins; the finer field is made for it.
-            beyond: (3,) where the tour goes on to, if it does.
+            next_goal: (3,) where the tour goes on to, if it does.
             built: `path` and `way` of the same guidance, from `guidance_file`.
 
         Raises:
@@ -73,9 +73,9 @@ class Guidance:
                 f"slot: {scene.slot} s: too long to steer in: one slot at a_max leads {leap:.3g} m "
                 f"far, the bounds are {extent:.3g} m wide; shorten slot or lower a_max"
             )
-        self.scene, self.node, self.start, self.beyond = scene, node, start, beyond
+        self.scene, self.node, self.start, self.next_goal = scene, node, start, next_goal
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
-        self.aim = choose_aim(scene, self.goal, self.tolerance, start, beyond)
+        self.aim = choose_aim(scene, self.goal, self.tolerance, start, next_goal)
         self.slack = SLACK_SHARE * (self.tolerance - float(np.linalg.norm(self.aim - self.goal)))
         if built is not None:
             self.path, self.way = built
@@ -143,11 +143,11 @@ class Guidance:
         """`Way.stop`: towards where the tour goes on, else the aim."""
         radius = STOP_SHARE * self.tolerance
         around = self.tolerance + AIM_ROOM
-        if self.beyond is None and room_to_boxes(self.scene, self.goal[None])[0] >= around:
+        if self.next_goal is None and room_to_boxes(self.scene, self.goal[None])[0] >= around:
             return np.append(self.aim, radius)  # coming from within the bounds
-        if self.beyond is None or room_at(self.scene, self.goal[None])[0] < around:
+        if self.next_goal is None or room_at(self.scene, self.goal[None])[0] < around:
             return np.append(self.aim, 0.0)
-        onward = self.beyond - self.goal
+        onward = self.next_goal - self.goal
         far = float(np.linalg.norm(onward))
         return np.append(self.goal + onward / max(far, 1e-9) * min(radius, far), radius)
 

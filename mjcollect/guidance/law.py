@@ -46,12 +46,12 @@ def heading_row(
     ahead = norm(gap)
     for p in range(chosen, len(way.points) - 1):
         end, cut = p, way.cut[p]
-        while end < len(way.points) - 2 and way.rest[p] - way.rest[end + 1] < ONE_TURN:
+        while end < len(way.points) - 2 and way.remaining[p] - way.remaining[end + 1] < ONE_TURN:
             end += 1
             cut = min(cut, way.cut[end])
         for k in range(3):
-            bend[k] = way.onward[end, k] - before[k]
-            before[k] = way.onward[p, k]
+            bend[k] = way.next_direction[end, k] - before[k]
+            before[k] = way.next_direction[p, k]
         turn = max(norm(bend), 1e-6)
         corner = math.sqrt(8 * cut * a_max) / turn
         begin = ahead - corner**2 * turn / a_max / 2 - speed * slot / 2
@@ -63,7 +63,7 @@ def heading_row(
             limit = min(limit, corner)
         else:
             limit = min(limit, math.sqrt(corner**2 + 2 * CORNER_BRAKE * a_max * max(begin, 0.0)))
-        ahead += way.rest[p] - way.rest[p + 1]
+        ahead += way.remaining[p] - way.remaining[p + 1]
     return limit
 
 

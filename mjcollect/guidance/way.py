@@ -17,7 +17,7 @@ class Way(NamedTuple):
     """The numbers that guidance is read from, see `kernels.query`; F fields, the finest last.
 
     Attributes:
-        points, rest, onward, cut, sight: see `Waypoints`.
+        points, remaining, next_direction, cut, sight: see `Waypoints`.
         low, spacing: (F, 3) m. nodes: (F, 3), nodes along each axis.
         stop: (4,) where a stop is best for the tour, and the radius in m of the ball around the
             goal in which a stop is free; 0 if it is not free all around.
@@ -25,8 +25,8 @@ class Way(NamedTuple):
     """
 
     points: Array
-    rest: Array
-    onward: Array
+    remaining: Array
+    next_direction: Array
     cut: Array
     sight: Array
     low: Array
@@ -79,7 +79,7 @@ def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
     for p in range(last, -1, -1):
         for k in range(3):
             offset[k] = way.points[p, k] - q[k]
-        whole = norm(offset) + way.rest[p]
+        whole = norm(offset) + way.remaining[p]
         if whole < best and in_sight(way.sight[p], q, offset):
             chosen, best = p, whole
             unit(offset, direction)

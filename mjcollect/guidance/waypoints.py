@@ -33,14 +33,15 @@ class Waypoints(NamedTuple):
     """The way from a start to an aim, P points without the start; the last is the aim.
 
     Attributes:
-        points: (P, 3) m. rest: (P,) m from each point along the others to the aim.
-        onward: (P, 3) unit vectors to the next point. cut: (P,) m by which a turn may cut each.
+        points: (P, 3) m. remaining: (P,) m from each point along the others to the aim.
+        next_direction: (P, 3) unit vectors to the next point.
+        cut: (P,) m by which a turn may cut each.
         sight: (P, M, 2, 3) boxes that a free line of sight to each misses.
     """
 
     points: Array
-    rest: Array
-    onward: Array
+    remaining: Array
+    next_direction: Array
     cut: Array
     sight: Array
 
@@ -82,8 +83,8 @@ class Waypoints(NamedTuple):
             kept.append(inflate(scene.obstacles, margin))
         return cls(
             points=way[1:].copy(),
-            rest=np.append(np.cumsum(length[:0:-1])[::-1], 0.0),
-            onward=np.concatenate([units[1:], units[-1:]]),
+            remaining=np.append(np.cumsum(length[:0:-1])[::-1], 0.0),
+            next_direction=np.concatenate([units[1:], units[-1:]]),
             cut=cut[1:] + LEAST_CUT,
             sight=np.stack(kept),
         )

@@ -104,13 +104,13 @@ class Evaluator:
         sims.place(np.arange(count), self._q, self._v)
         running = np.ones(count, dtype=bool)
         success, slots, total = np.zeros(count, bool), np.zeros(count), np.zeros(count)
-        onward, shielded = np.zeros(count), 0
+        next_cost, shielded = np.zeros(count), 0
         while running.any():
             outcome = sims.step(policy(sims.observe().astype(np.float32)))
             total += np.where(running, outcome.reward, 0.0)
             # Where a crash does not end the episode, an arrival after one is no success.
             success |= running & outcome.success & ~sims.episodes.crashed
-            onward = np.where(running, sims.episodes.onward, onward)
+            next_cost = np.where(running, sims.episodes.next_cost, next_cost)
             slots += running
             shielded += int((running & outcome.shielded).sum())
             running &= ~(outcome.terminated | outcome.truncated)
@@ -121,7 +121,7 @@ class Evaluator:
             point_rate=len(arrived) / len(self._points),
             point_time=float(time[arrived].mean()) if len(arrived) else math.nan,
             mean_time=float(time[success].mean()) if success.any() else math.nan,
-            mean_cost=float((time + onward)[success].mean()) if success.any() else math.nan,
+            mean_cost=float((time + next_cost)[success].mean()) if success.any() else math.nan,
             mean_return=float(total.mean()),
             failure_seconds=self._failure_seconds,
             shield_share=shielded / float(slots.sum()),
@@ -142,7 +142,7 @@ def _least_time(course: Course, q: np.ndarray) -> float:
     Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
     """
     scene, guide = course.scene, course.guidance[0]
-    saved = 0.0 if guide.beyond is None else guide.tolerance / scene.v_max
+    saved = 0.0 if guide.next_goal is None else guide.tolerance / scene.v_max
     return float(least_slots(guide, q).mean()) * scene.slot - saved
 
 

@@ -59,7 +59,7 @@ class _SegmentView:
 
     Attributes:
         q, v: (3,) present state. way: (P, 3) shortest free path to the target from here.
-        centre, radius: of the ball in which to stop. beyond: (3,) where the next leg leads.
+        centre, radius: of the ball in which to stop. next_goal: (3,) where the next segment leads.
         least: no motion arrives in fewer slots. likely: an estimate along the path.
     """
 
@@ -68,7 +68,7 @@ class _SegmentView:
     way: Array
     centre: Array
     radius: float
-    beyond: Array
+    next_goal: Array
     least: int
     likely: int
 
@@ -199,7 +199,7 @@ class Mpc:
         best: Plan | None = None
         elastic = rounds > 1
         for _ in range(rounds):
-            pull = leg.beyond if arrive else self._carrot(leg.way, path[-1])
+            pull = leg.next_goal if arrive else self._carrot(leg.way, path[-1])
             ball = (leg.centre, leg.radius) if arrive else None
             self.counts["solves"] += 1
             solution = self._program.solve(leg.v, path, pull, ball, elastic)
@@ -237,7 +237,7 @@ class Mpc:
     def _look(self, q: Array, v: Array, target: int) -> _SegmentView:
         guidance = self._course.guidance[target]
         following = self._course.guidance[target + 1 : target + 2]
-        beyond = following[0].path[1] if following and self._look_past else guidance.aim
+        next_goal = following[0].path[1] if following and self._look_past else guidance.aim
         way = self._way(q, guidance.path)
         straight = guidance.goal - q
         least = self._slots(float(np.linalg.norm(straight)), straight, v, guidance.tolerance)
@@ -248,7 +248,7 @@ class Mpc:
             way=way,
             centre=guidance.goal,
             radius=guidance.tolerance - min(INSIDE, guidance.tolerance / 2),
-            beyond=beyond,
+            next_goal=next_goal,
             least=least,
             likely=max(least, likely),
         )

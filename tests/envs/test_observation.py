@@ -143,7 +143,7 @@ def test_guided_parts_by_hand(courses):
 def approached(course, q, v):
     episodes = Episodes([course], len(q), Rules())
     episodes.reset(np.arange(len(q)), q, v)
-    return episodes._approach
+    return episodes.approach
 
 
 def near_goal(course, count, seed=0):
@@ -194,7 +194,7 @@ def test_the_path_s_frame_turns_vectors_and_actions_alike(courses, key):
     plain, turned = (Episodes([course], len(q), Rules(name)) for name in ("guided", "path"))
     for episodes in (plain, turned):
         episodes.reset(np.arange(len(q)), q, v)
-    axes = turned._approach.frame
+    axes = turned.approach.frame
     np.testing.assert_allclose(
         axes @ axes.transpose(0, 2, 1), np.tile(np.eye(3), (80, 1, 1)), atol=1e-12
     )

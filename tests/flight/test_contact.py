@@ -15,7 +15,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mjcollect.flight.contact import contacts, judge
+from mjcollect.flight.contact import contacts, judge, leaves_bounds
 from mjcollect.flight.world import World
 from mjcollect.scene.mjcf import compile_model
 from mjcollect.scene.scene import Scene
@@ -253,3 +253,35 @@ def test_what_the_sensor_says_counts_even_where_the_sweep_sees_nothing():
 def test_scenes_of_another_slot_cannot_share_a_world():
     with pytest.raises(ValueError, match=r"slot 0\.2 and 0\.4"):
         World.stack([scene(), scene(slot=0.4)])
+
+
+# Bounds, and the first event
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", [0, 1])
+def test_bounds_are_inclusive_to_a_micrometre(axis, side):
+    world = World.stack([scene([])])
+    outward = 2 * side - 1
+    inside = np.full((1, 1, 3), 500.0)
+    path = np.repeat(inside, 4, axis=1)
+    path[0, :, axis] = world.bounds[0, side, axis] + outward * np.array([0.0, 0.9e-6, 1.1e-6, 5.0])
+    assert leaves_bounds(world, path).tolist() == [[False, False, True, True]]
+
+
+def test_a_slot_is_judged_by_its_first_event():
+    world = World.stack([scene([])])
+    start, none = np.full((1, 3), 500.0), np.zeros((1, 10), dtype=bool)
+    path = np.full((1, 10, 3), 500.0)
+    calm = judge(world, start, path, none, np.array([True]))
+    assert (calm.arrived[0], calm.crashed[0], calm.first_event[0]) == (True, False, 10)
+    assert not judge(world, start, path, none, np.array([False])).arrived[0]
+    path[0, 6, 2], sensed = -1.0, none.copy()
+    out = judge(world, start, path, sensed, np.array([True]))
+    assert (out.arrived[0], out.outside[0], out.contact[0]) == (False, True, False)
+    assert out.first_event[0] == 6
+    sensed[0, 3] = True
+    both = judge(world, start, path, sensed, np.array([True]))
+    assert both.contact[0]
+    assert both.outside[0]
+    assert both.first_event[0] == 3

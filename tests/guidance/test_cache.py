@@ -16,7 +16,7 @@ def built(blocked_course) -> Guidance:
 
 
 def leg(guide):
-    return guide.scene, guide.node, guide.start, guide.beyond
+    return guide.scene, guide.node, guide.start, guide.next_goal
 
 
 def test_a_loaded_guidance_is_the_built_one_bit_for_bit(built, tmp_path):
@@ -37,19 +37,19 @@ def test_a_loaded_guidance_is_the_built_one_bit_for_bit(built, tmp_path):
 
 def test_another_scene_leg_or_code_does_not_find_it(built, tmp_path, monkeypatch):
     cache.save(built, tmp_path)
-    scene, node, start, beyond = leg(built)
-    assert cache.load(tmp_path, scene, node, start, beyond) is not None
+    scene, node, start, next_goal = leg(built)
+    assert cache.load(tmp_path, scene, node, start, next_goal) is not None
     moved = dataclasses.replace(scene, obstacles=scene.obstacles + np.array([1.0, 0.0, 0.0]))
     for other in (
-        (moved, node, start, beyond),
-        (dataclasses.replace(scene, uav_radius=0.4), node, start, beyond),
-        (scene, 1, start, beyond),
-        (scene, node, start + 1e-9, beyond),
-        (scene, node, start, None if beyond is not None else start),
+        (moved, node, start, next_goal),
+        (dataclasses.replace(scene, uav_radius=0.4), node, start, next_goal),
+        (scene, 1, start, next_goal),
+        (scene, node, start + 1e-9, next_goal),
+        (scene, node, start, None if next_goal is not None else start),
     ):
         assert cache.load(tmp_path, *other) is None
     monkeypatch.setattr(cache, "_code", lambda: "another version")
-    assert cache.load(tmp_path, scene, node, start, beyond) is None
+    assert cache.load(tmp_path, scene, node, start, next_goal) is None
 
 
 @pytest.mark.parametrize("keep", [0, 100, 0.5, 0.999])

@@ -154,7 +154,7 @@ def test_distances_are_over_waypoints_in_sight_and_else_the_field_s(seed):
     way, counts = guide.way, {"aim": 0, "corner": 0, "field": 0}
     for q in free_points(flown, 150, seed):
         seen = [not crosses(q, *pair) for pair in zip(way.points, way.sight, strict=True)]
-        whole = np.where(seen, np.linalg.norm(way.points - q, axis=1) + way.rest, np.inf)
+        whole = np.where(seen, np.linalg.norm(way.points - q, axis=1) + way.remaining, np.inf)
         distance, direction = guide.query(q[None])
         straight = np.linalg.norm(guide.aim - q)
         field = max(field_value(way, q), straight)

@@ -16,8 +16,8 @@ def random_way(rng, least, counts=((5, 7, 4), (9, 3, 6))) -> Way:
     sizes = [int(np.prod(count)) for count in counts]
     return Way(
         points=np.array([[1e3, 1e3, 1e3]]),
-        rest=np.zeros(1),
-        onward=np.ones((1, 3)),
+        remaining=np.zeros(1),
+        next_direction=np.ones((1, 3)),
         cut=np.ones(1),
         sight=np.array([[[[900.0] * 3, [950.0] * 3]]]),  # in sight of none
         stop=np.zeros(4),

@@ -33,11 +33,12 @@ def check(guide):
     np.testing.assert_allclose(way.points[-1], guide.aim, rtol=0, atol=1e-9)
     for p in range(count):
         rest = sum(math.dist(way.points[i], way.points[i + 1]) for i in range(p, count - 1))
-        assert way.rest[p] == pytest.approx(rest, abs=1e-9)
+        assert way.remaining[p] == pytest.approx(rest, abs=1e-9)
         if p < count - 1:
             onward = way.points[p + 1] - way.points[p]
-            np.testing.assert_allclose(way.onward[p] * np.linalg.norm(onward), onward, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(way.onward, axis=1), 1.0)
+            length = np.linalg.norm(onward)
+            np.testing.assert_allclose(way.next_direction[p] * length, onward, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(way.next_direction, axis=1), 1.0)
     assert way.cut.shape == (count,)
     assert np.all((way.cut > 0) & np.isfinite(way.cut))
     assert np.all((points >= guide.scene.bounds[0]) & (points <= guide.scene.bounds[1]))
@@ -101,7 +102,7 @@ def test_starts_and_aims_beside_boxes(seed, room, axis, high):
 def test_without_boxes_the_aim_is_the_only_waypoint():
     guide = Guidance(scene([]), 0, np.array([10.0, 30, 30]))
     np.testing.assert_array_equal(guide.way.points, [[380.0, 30, 30]])
-    np.testing.assert_array_equal(guide.way.rest, [0.0])
+    np.testing.assert_array_equal(guide.way.remaining, [0.0])
     check(guide)
 
 

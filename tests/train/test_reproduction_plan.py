@@ -13,7 +13,7 @@ from mjcollect.scene.order import plan_order, tour_length
 from mjcollect.scene.scene import Scene
 from train.reproduction import orders
 from train.reproduction.plan import Cell, Plan, Sizes, first_items, make_plan
-from train.reproduction.running import Board, arguments_of
+from train.reproduction.running import arguments_of
 from train.reproduction.tables import paired, rate, scene_table, summary
 
 
@@ -84,22 +84,12 @@ def test_arguments_fly_the_cell(tmp_path):
     assert program == "train.mission"
     assert words[words.index("--order") + 1] == "1,0"
     assert words[words.index("--seed") + 1] == "3"
-    assert {"--resume", "--from-scratch", "--no-video", "--no-plots", "--updates"} <= set(words)
+    assert {"--resume", "--no-video", "--no-plots", "--updates"} <= set(words)
+    assert words[words.index("--policy") + 1] == "none"
     program, words = arguments_of(Cell("s", (1, 0), "mpc", 0), tmp_path, updates, keep=True)
     assert program == "train.fly"
     assert words[words.index("--planner") + 1] == "mpc"
     assert not {"--updates", "--no-plots"} & set(words)
-
-
-def test_the_board_expects_what_it_measured():
-    cells = [Cell("s", (0, 1, 2), "mpc", 0), Cell("t", (0, 1, 2), "mpc", 0)]
-    board = Board(cells, before=1, workers=1)
-    board._mark()
-    assert board.running() == cells[:1]
-    board._begun["s-mpc-0.1.2"] -= 600.0
-    board.finished(cells[0], None, "failed")
-    assert board.running() == cells[1:]
-    assert board.left() == "about 10 min left"
 
 
 def test_bounds_of_all_orders_agree_with_one_by_one():
@@ -107,12 +97,12 @@ def test_bounds_of_all_orders_agree_with_one_by_one():
     each = [orders.order_bound(scene, order) for order in itertools.permutations(range(4))]
     np.testing.assert_allclose(orders.all_bounds(scene), sorted(each))
     assert orders.all_bounds(scene)[0] == pytest.approx(mission_bound(scene)[0])
-    spread = orders.spread(scene)
+    order = (2, 0, 3, 1)
+    spread = orders.spread(scene, order)
     assert spread["worst"] == pytest.approx(max(each))
     assert spread["mean"] == pytest.approx(np.mean(each))
-    order = (2, 0, 3, 1)
     as_long = np.array(each) >= orders.order_bound(scene, order) - 1e-6
-    assert orders.share_as_long(scene, order) == pytest.approx(np.mean(as_long))
+    assert spread["share_as_long"] == pytest.approx(np.mean(as_long))
     assert 0 < np.mean(as_long) < 1
 
 
@@ -184,7 +174,7 @@ def test_scenario_rows_by_hand():
     uses.append(use("scenarios", "scenario_1", "lkh", "guidance", "missing"))
     cells = {"a": cell_entry(72.0, train_seconds=10.0), "b": cell_entry(74.0, train_seconds=30.0),
              "c": cell_entry(None, contacts=2)}  # fmt: skip
-    (row,) = scene_table(uses, cells, "scenarios", "scenario_1")
+    (row,) = scene_table(uses, cells, "scenario_1")
     assert row["paper"] == [71.8, 71.8]
     assert row["time"]["mean"] == 73.0
     assert (row["shortest"], row["longest"]) == (72.0, 74.0)

@@ -1,4 +1,4 @@
-"""A run's flights against another run's results.json."""
+"""Compares a run's flights with those in another run's results.json."""
 
 from __future__ import annotations
 

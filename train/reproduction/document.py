@@ -1,4 +1,4 @@
-"""results.json: everything that was flown and counted, from which the page is written."""
+"""Makes results.json: everything that was flown and counted, from which the page is written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's figures of flights: its three schemes in one plot, in 3D and from above."""
+"""Draws the paper's figures of flights: its three schemes in 3D and from above."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the visiting order alone is worth: straight legs, nothing flown.
+"""Computes what the visiting order alone is worth: with straight legs, nothing flown.
 
 The bound of an order is the sum of its legs' lower bounds (`mjcollect.scene.bounds`): straight
 distance, stops anywhere in the balls.

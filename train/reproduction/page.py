@@ -1,4 +1,4 @@
-"""reproduction.md, written from results.json alone: every number on it is in there."""
+"""Writes reproduction.md from results.json alone: every number on it is in there."""
 
 from __future__ import annotations
 

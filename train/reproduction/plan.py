@@ -27,13 +27,15 @@ Order = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is flown.
+    """How much a reproduction flies.
 
     Attributes:
-        training_seeds: of the policies in scenarios 1 and 2; elsewhere one.
-        sweep: values of K.
-        floating, city: numbers of random scenes. items: K of each. first_scene: their first seed.
-        instances: random instances whose orders are compared without flying.
+        training_seeds: how often each policy of scenarios 1 and 2 is trained; all others once.
+        sweep: the numbers of items K along which mission time is shown.
+        floating, city: how many random scenes of each layout there are.
+        items: how many items each random scene has.
+        first_scene: the seed of the first random scene of each layout.
+        instances: how many random instances have their orders compared without a flight.
     """
 
     training_seeds: int = 3
@@ -47,10 +49,13 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Cell:
-    """One flight.
+    """One flight that a reproduction makes.
 
     Attributes:
-        scene: key in `Plan.scenes`. seed: of the training; 0 where nothing is trained.
+        scene: label of the scene in `Plan.scenes`.
+        order: the items in order of visit.
+        planner: what flies, one of `PLANNERS`.
+        seed: seed of the training, 0 where nothing is trained.
     """
 
     scene: str
@@ -70,9 +75,11 @@ class Use:
     """A place in a table that a cell fills.
 
     Attributes:
-        part: scenarios, sweep or random. scene: the scene's label there, such as sweep_4.
+        part: which of `PARTS` the table belongs to.
+        scene: the scene's label there, such as sweep_4.
         method: how the order was found: lkh, lkh-time, random or given.
-        seed: training seed. cell: name of the cell.
+        planner, seed: those of the cell.
+        cell: the cell's name.
     """
 
     part: str

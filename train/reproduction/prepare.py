@@ -1,4 +1,4 @@
-"""What a reproduction needs before anything flies: scenes, orders, a note of the machine."""
+"""Prepares what is needed before anything flies: scenes, orders, a note of the machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flying cells: which are done, the programs that fly the others, and how far they are."""
+"""Flies the cells that are not flown yet, each by a program of its own, and shows how far it is."""
 
 from __future__ import annotations
 

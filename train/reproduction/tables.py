@@ -1,4 +1,4 @@
-"""From flown cells to tables of plain numbers, and how means and shares are printed.
+"""Makes tables of plain numbers from flown cells, and text of means and shares.
 
 Rows come as `uses` (dictionaries of `train.reproduction.plan.Use`) and `cells` (name -> entry of
 `entry_of`). A cell that is not flown is missing from `cells`; a flight without success has no time.
