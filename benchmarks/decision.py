@@ -1,4 +1,4 @@
-"""Milliseconds per decision for one UAV on one core: policy, guidance law and MPC.
+"""Times one decision of policy, guidance law and MPC, for one UAV on one core.
 
     python -m benchmarks.decision --out docs/results/decision.json
 
@@ -9,7 +9,6 @@ every state, the fast ones several times in a row, each call timed.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,14 +20,14 @@ import torch
 import tyro
 from tensordict import TensorDict
 
-from benchmarks.results import save
+from benchmarks.common import Output, Row, print_table, save
 from mjcollect.envs.course import Course
 from mjcollect.envs.dm_env import FlightTask
 from mjcollect.envs.episode import Episodes, Rules
 from mjcollect.envs.recording import record
-from mjcollect.learning.networks import make_actor
-from mjcollect.learning.policy import TrainedPolicy
-from mjcollect.planners.mpc import HORIZON, Mpc
+from mjcollect.learning.ddpg import make_actor
+from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, weights_file
+from mjcollect.planners.mpc import Mpc
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
 
@@ -37,41 +36,46 @@ NETWORK, TORCH = "policy: network", "policy: network through torch"
 OBSERVATION, POLICY = "policy: observation", "policy: observation and network"
 LAW, MPC = "guidance law", "MPC"
 WAYS = (NETWORK, TORCH, OBSERVATION, POLICY, LAW, MPC)
+COLUMNS = (
+    ("way", "{way}"),
+    ("median (ms)", "{median_ms:.4f}"),
+    ("95th percentile (ms)", "{p95_ms:.4f}"),
+    ("MPC's median over it", "{faster_than_mpc:.1f}"),
+    ("target", "{target}"),
+)
 
 
 @dataclass(frozen=True)
-class Args:
-    """Time the decisions of every way to fly."""
+class Args(Output):
+    """Times the decisions of every way to fly."""
 
     scene: str = "sweep_8"
-    """Scene file or bundled scene."""
-    policy: Path | None = None
-    """A policy.pt; default: a network of random weights, which takes as long."""
+    """Scene file, or the name of a bundled scene."""
+    policy: Path = NO_POLICY
+    """Policy: shipped, none (a network of random weights, which takes as long), or a file."""
     width: int = 128
-    """Width of its hidden layers."""
-    horizon: int = HORIZON
-    """Slots that the MPC plans."""
+    """Width of the hidden layers of a network of random weights."""
     repeats: int = 5
-    """Calls in a row of every way but the MPC, which decides once at a state."""
-    out: Path | None = None
-    """JSON file for the results."""
+    """Calls in a row of every way but the MPC, which decides once in each state."""
 
 
 def through_torch(policy: TrainedPolicy, observation: np.ndarray) -> np.ndarray:
-    """A decision by TensorDict and torch."""
+    """Returns a decision (3,) that is made by TensorDict and torch."""
     with torch.no_grad():
         batch = TensorDict({"observation": torch.from_numpy(observation[None])}, 1)
         return np.asarray(policy.actor(batch)["action"].numpy()[0])
 
 
 def measure(args: Args) -> dict[str, list[float]]:
-    """Seconds of every call, by way."""
+    """Returns the seconds of every call, by the way in which it decides."""
     scene = Scene.find(args.scene)
     course = Course.mission(scene, plan_order(scene, "lkh"))
-    mpc, probe = Mpc(course, args.horizon), Episodes([course], 1, Rules())
+    loaded = None if args.policy == NO_POLICY else TrainedPolicy.load(weights_file(args.policy))
+    rules = Rules("guided" if loaded is None else loaded.observation)
+    mpc, probe = Mpc(course), Episodes([course], 1, rules)
 
     def look(episodes: Episodes) -> np.ndarray:
-        """The observation from position, velocity and target."""
+        """Returns the observation (D,) from position, velocity and target."""
         probe.load({"truth": episodes.q, "v": episodes.v, "target": episodes.target})
         return np.concatenate(list(probe.observe().values()), axis=1)[0].astype(np.float32)
 
@@ -79,11 +83,7 @@ def measure(args: Args) -> dict[str, list[float]]:
         probe.load({"truth": episodes.q, "v": episodes.v, "target": episodes.target})
         return probe.guidance_action()[0]
 
-    policy = (
-        TrainedPolicy(make_actor(len(look(probe)), args.width), "guided")
-        if args.policy is None
-        else TrainedPolicy.load(args.policy)
-    )
+    policy = loaded or TrainedPolicy(make_actor(len(look(probe)), args.width), rules.observation)
     seconds: dict[str, list[float]] = {way: [] for way in WAYS}
 
     def timed(way: str, decide: Callable[[], np.ndarray], repeats: int = args.repeats) -> Any:
@@ -106,32 +106,26 @@ def measure(args: Args) -> dict[str, list[float]]:
         by_law(probe)
         policy(look(probe)[None])
         through_torch(policy, look(probe))
-    flight = record(course, pilot)
+    flight = record(course, pilot, rules.observation)
     print(f"{mpc.summary()} Flight: {flight.trajectory.duration:.1f} s, success {flight.success}.")
     return seconds
 
 
 def main(args: Args) -> None:
-    """Measure, print, save."""
+    """Measures, prints, saves."""
     torch.set_num_threads(1)
     seconds = measure(args)
-    rows = []
+    mpc, rows, shown = float(np.median(seconds[MPC])), [], []
     for way in WAYS:
         half, most = (1e3 * float(np.percentile(seconds[way], p)) for p in (50, 95))
-        rows.append({"way": way, "calls": len(seconds[way]), "median_ms": half, "p95_ms": most})
-    mpc = rows[-1]["median_ms"]
-    print("| way | median (ms) | 95th percentile (ms) | MPC's median over it | target |")
-    print("|---|---|---|---|---|")
-    for row in rows:
-        row["faster_than_mpc"] = mpc / row["median_ms"]
-        row["met"] = row["median_ms"] < TARGET if row["way"] in (NETWORK, POLICY) else None
+        row: Row = {"way": way, "calls": len(seconds[way]), "median_ms": half, "p95_ms": most}
+        row["faster_than_mpc"] = 1e3 * mpc / half
+        row["met"] = half < TARGET if way in (NETWORK, POLICY) else None
         target = {True: f"< {TARGET}: met", False: f"< {TARGET}: missed", None: ""}[row["met"]]
-        print(
-            f"| {row['way']} | {row['median_ms']:.4f} | {row['p95_ms']:.4f} "
-            f"| {row['faster_than_mpc']:.1f} | {target} |"
-        )
-    arguments = {key: str(value) for key, value in dataclasses.asdict(args).items()}
-    save(args.out, {"results": rows}, arguments=arguments)
+        rows.append(row)
+        shown.append(row | {"target": target})
+    print_table(shown, COLUMNS)
+    save(args.out, {"results": rows}, args)
 
 
 if __name__ == "__main__":

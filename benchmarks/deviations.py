@@ -1,17 +1,15 @@
-"""What each deviation from the paper is worth: one thing at a time set back to the paper's way.
+"""Measures what each deviation from the paper is worth: one at a time is set back to its way.
 
     python -m benchmarks.deviations --out docs/results/deviations.json
 
 The numbers are those of docs/deviations.md; the ones without a flag are missing. Each cell is one
 run of `train.segment`, with its command in the JSON. Cells that the JSON holds already are not run
 again. Prints a table, and says how each change compares with our settings on the same segments and
-seeds. `benchmarks.curves` draws how they learned.
+seeds.
 """
 
 from __future__ import annotations
 
-import csv
-import dataclasses
 import json
 import shlex
 import statistics
@@ -20,16 +18,16 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
 
-from benchmarks.results import save
+from benchmarks.common import Row, grouped, load_rows, save
 from mjcollect.envs.course import Course
 from mjcollect.scene.order import first_blocked, plan_order
 from mjcollect.scene.scene import Scene
 from train.jobs.workers import Done, Job, open_workers, run_jobs, settings_arguments
 from train.support.command_line import INTERRUPTED, say, stop_on_ctrl_c
+from train.support.markdown import markdown_table
 from train.support.presets import PAPER, with_slot
 
 KEPT = (
@@ -37,15 +35,21 @@ KEPT = (
     "best_mean_time", "last_mean_time", "last_success_rate", "updates", "env_steps",
     "train_seconds",
 )  # fmt: skip
+COLUMNS = (
+    "deviation", "set to the paper's way", "flights with success", "success rate",
+    "time / detour time", "against ours", "updates", "training (s)",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Change:
-    """What is set to the paper's way.
+    """Says what is set to the paper's way.
 
     Attributes:
-        number: of the deviation in docs/deviations.md; empty for none; or all, and all but one.
-        name: in the table. flags: of train.segment. slot: seconds in place of the scene's.
+        number: The deviation's in docs/deviations.md; empty for none; or all, and all but one.
+        name: What the table calls it.
+        flags: The flags of train.segment that set it.
+        slot: Seconds of a slot in place of the scene's.
     """
 
     number: str
@@ -55,8 +59,8 @@ class Change:
 
 
 def paper(*fields: str) -> tuple[str, ...]:
-    """Flags that set these settings to the paper's way."""
-    return tuple(settings_arguments({name: PAPER[name].value for name in fields}))
+    """Returns the flags that set these settings to the paper's way."""
+    return tuple(settings_arguments({name: PAPER[name] for name in fields}))
 
 
 OURS = Change("", "our settings")
@@ -82,25 +86,25 @@ CHANGES = (
 
 @dataclass(frozen=True)
 class Args:
-    """Learn the same segments with one thing at a time set back to the paper's way."""
+    """Learns the same segments with one thing at a time set back to the paper's way."""
 
     segments: tuple[str, ...] = ("scenario_1", "city_6")
     """Scenes, of which the first blocked segment is learned, or SCENE:SEGMENT."""
     seeds: tuple[int, ...] = (0, 1)
-    """Training seeds."""
+    """Seeds of the trainings, of which each segment has one for each seed."""
     updates: int = 2_500
-    """Updates of every run, at most."""
+    """Most updates that a run may make."""
     only: tuple[int, ...] = ()
     """Positions in the table of the changes to run, from 0, which is our settings; default: all."""
     workers: int = 1
-    """Runs side by side."""
+    """Number of runs side by side."""
     out: Path | None = None
     """JSON file for the results; cells that it holds already are not run again."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run: a change on a segment with a seed."""
+    """Names one run: a change on a segment with a seed."""
 
     change: Change
     scene: str
@@ -110,7 +114,7 @@ class Cell:
 
     @property
     def arguments(self) -> tuple[str, ...]:
-        """Of train.segment."""
+        """Returns the run's arguments of train.segment."""
         slot = () if self.change.slot is None else ("--slot", str(self.change.slot))
         return (
             "--scene", self.scene, "--segment", str(self.segment), "--seed", str(self.seed),
@@ -120,15 +124,15 @@ class Cell:
 
     @property
     def command(self) -> str:
-        """What anyone can run again."""
+        """Returns the command line by which anyone can repeat the run."""
         return shlex.join(("python", "-m", "train.segment", *self.arguments))
 
 
 def plan(args: Args) -> list[Cell]:
-    """All cells, in the order in which they are run.
+    """Returns all cells, in the order in which they are run.
 
     Raises:
-        ValueError: a segment that is no number, or a change that there is not.
+        ValueError: A segment is no number, or there is no such change.
     """
     chosen = args.only or range(len(CHANGES))
     if not all(0 <= index < len(CHANGES) for index in chosen):
@@ -149,14 +153,13 @@ def plan(args: Args) -> list[Cell]:
     ]
 
 
-def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -> int:
-    """Run the cells that `results` (by command) does not hold.
+def run(cells: Sequence[Cell], results: dict[str, Row], args: Args) -> int:
+    """Runs the cells that `results` (by command) does not hold.
 
     Returns:
         0, 1 if a run ended with an error (the others go on), 130 if Ctrl-C stopped it.
     """
     todo = [cell for cell in cells if cell.command not in results]
-    errors = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         guidance = folder / "guidance"  # shared: it does not depend on how the learner is set
@@ -171,77 +174,55 @@ def run(cells: Sequence[Cell], results: dict[str, dict[str, Any]], args: Args) -
         def finished(done: Done) -> None:
             cell, path = todo[done.job.index], done.job.folder / "segment.json"
             if not path.is_file():
-                errors.append(f"{cell.command}: exit code {done.code}: {done.message}")
-                say(f"error: {errors[-1]}")
+                say(f"error: {cell.command}: exit code {done.code}: {done.message}")
                 return
             results[cell.command] = row(cell, json.loads(path.read_text()))
-            results[cell.command]["curve"] = curve(done.job.folder / "metrics.csv")
             have = sum(each.command in results for each in cells)
             say(f"{have} of {len(cells)} cells: {cell.change.name}, {done.message}")
-            rows = {"results": list(results.values())}
-            save(args.out, rows, arguments=dataclasses.asdict(args))
+            save(args.out, {"results": list(results.values())}, args)
 
         with stop_on_ctrl_c() as stopped, open_workers(args.workers, ray=False) as workers:
-            through = run_jobs(workers, jobs, finished, stopped)
-    if not through:
-        return INTERRUPTED
-    return 1 if errors else 0
+            if not run_jobs(workers, jobs, finished, stopped):
+                return INTERRUPTED
+    return 0 if all(cell.command in results for cell in cells) else 1
 
 
-def row(cell: Cell, result: dict[str, Any]) -> dict[str, Any]:
-    """A cell's entry in the JSON."""
+def row(cell: Cell, result: Row) -> Row:
+    """Returns a cell's entry in the JSON."""
     named = {"deviation": cell.change.number, "change": cell.change.name, "scene": cell.scene}
     place = {"segment": cell.segment, "seed": cell.seed, "command": cell.command}
     return named | place | {key: result[key] for key in KEPT}
 
 
-def curve(metrics: Path) -> dict[str, list[float | None]]:
-    """The evaluations in a metrics.csv: updates, success rate, mean time of the arrivals."""
-    if not metrics.is_file():
-        return {}
-    with metrics.open() as lines:
-        rows = list(csv.DictReader(lines))
-    columns = ("update", "eval_success_rate", "eval_mean_time")
-    values = {name: [float(row[name] or "nan") for row in rows] for name in columns}
-    return {name: [None if v != v else v for v in each] for name, each in values.items()}
-
-
-def table(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Lines of the table: a line for each change, means over its cells."""
-    by_change: dict[str, list[dict[str, Any]]] = {}
-    for each in rows:
-        by_change.setdefault(each["change"], []).append(each)
-    ours = {_place(each): each for each in by_change.get(OURS.name, [])}
-    lines = [
-        "| deviation | set to the paper's way | flights with success | success rate "
-        "| time / detour time | against ours | updates | training (s) |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, found in by_change.items():
-        good = [each for each in found if each["success"]]
-        pairs = [
-            ratio(each) / ratio(ours[_place(each)])
-            for each in good
-            if ours.get(_place(each), {"success": False})["success"]
-        ]
+def table(rows: Sequence[Row]) -> list[str]:
+    """Returns the lines of the table: a line for each change, means over its cells."""
+    ours = ratios([each for each in rows if each["change"] == OURS.name])
+    lines = []
+    for (number, name), found in grouped(rows, "deviation", "change").items():
+        reached = ratios(found)
+        against = [100 * (reached[place] / ours[place] - 1) for place in reached if place in ours]
         lines.append(
-            f"| {found[0]['deviation'] or '-'} | {name} | {len(good)} of {len(found)} "
-            f"| {statistics.mean(each['success_rate'] for each in found):.2f} "
-            f"| {_mean([ratio(each) for each in good], '.3f')} "
-            f"| {_mean([100 * (pair - 1) for pair in pairs], '+.1f')}{' %' if pairs else ''} "
-            f"| {statistics.mean(each['updates'] for each in found):.0f} "
-            f"| {statistics.mean(each['train_seconds'] for each in found):.0f} |"
+            (
+                number or "-",
+                name,
+                f"{len(reached)} of {len(found)}",
+                _mean([each["success_rate"] for each in found], ".2f"),
+                _mean(list(reached.values()), ".3f"),
+                _mean(against, "+.1f") + (" %" if against else ""),
+                _mean([each["updates"] for each in found], ".0f"),
+                _mean([each["train_seconds"] for each in found], ".0f"),
+            )
         )
-    return lines
+    return markdown_table(COLUMNS, lines)
 
 
-def ratio(each: dict[str, Any]) -> float:
-    """Time over detour time."""
-    return float(each["time"] / each["detour_time"])
-
-
-def _place(each: dict[str, Any]) -> tuple[Any, ...]:
-    return each["scene"], each["segment"], each["seed"]
+def ratios(rows: Sequence[Row]) -> dict[tuple[str, int, int], float]:
+    """Returns time over detour time by scene, segment and seed, of one change's successes."""
+    return {
+        (each["scene"], each["segment"], each["seed"]): each["time"] / each["detour_time"]
+        for each in rows
+        if each["success"]
+    }
 
 
 def _mean(values: Sequence[float], form: str) -> str:
@@ -249,16 +230,13 @@ def _mean(values: Sequence[float], form: str) -> str:
 
 
 def main(args: Args) -> int:
-    """Run, print, save."""
+    """Runs, prints, saves; returns the exit code."""
     try:
         cells = plan(args)
     except ValueError as error:
         say(f"error: {error}")
         return 2
-    results: dict[str, dict[str, Any]] = {}
-    if args.out is not None and args.out.is_file():
-        held = json.loads(args.out.read_text())["results"]
-        results = {each["command"]: each for each in held}
+    results = {each["command"]: each for each in load_rows(args.out)}
     code = run(cells, results, args)
     asked = [results[cell.command] for cell in cells if cell.command in results]
     print("\n".join(table(asked)))

@@ -1,4 +1,4 @@
-"""Simulate and learn, ours against Stable-Baselines3's DDPG, until every start arrives.
+"""Times simulating and learning until every start arrives: ours and Stable-Baselines3's DDPG.
 
     OMP_NUM_THREADS=1 python -m benchmarks.end_to_end --out docs/results/end_to_end.json
 
@@ -19,19 +19,16 @@ import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import torch
 import tyro
 from stable_baselines3.common.noise import NormalActionNoise
 
-from benchmarks.results import save
-from benchmarks.sb3 import make_sb3, peer_versions
+from benchmarks.common import Output, Row, save
+from benchmarks.sb3 import FlightGym, make_sb3, peer_versions
 from mjcollect.envs.course import Course
-from mjcollect.envs.dm_env import make_environment
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
 from mjcollect.learning.trainer import segment_trainer
@@ -39,65 +36,23 @@ from mjcollect.scene.order import first_blocked, plan_order
 from mjcollect.scene.scene import Scene
 
 TARGET = 3.0
+SB3_NOISE = 0.1  # standard deviation of SB3's Gaussian action noise, as a share of a_max
 
 
 @dataclass(frozen=True)
-class Args:
-    """Time both until they arrive from every start."""
+class Args(Output):
+    """Times both learners until they arrive from every start."""
 
     scene: str = "scenario_1"
-    """Scene file or bundled scene."""
+    """Scene file, or the name of a bundled scene."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds, one run of each learner per seed."""
+    """Seeds, with each of which both learners run once."""
     sb3_updates: int = 10_000
-    """SB3's budget: updates, and transitions beyond the demonstrations."""
-    sb3_demonstrations: bool = True
-    """Start SB3's buffer, too, with the guidance law's transitions."""
-    sb3_noise: float = 0.1
-    """Standard deviation of SB3's Gaussian action noise."""
-    threads: int = 1
-    """MuJoCo's threads in our simulations and in both sides' evaluations."""
-    out: Path | None = None
-    """JSON file for the results."""
+    """Most updates that SB3 may make, and as many transitions beyond the demonstrations."""
 
 
-class FlightGym(gymnasium.Env):
-    """The single dm-control environment behind Gymnasium, observation flat."""
-
-    def __init__(self, course: Course, config: LearnConfig, seed: int) -> None:
-        self.environment = make_environment(
-            course,
-            observation=config.observation,
-            reward=config.reward,
-            start="spread",
-            random=seed,
-            shield=config.shield,
-        )
-        size = len(self._flat(self.environment.reset().observation))
-        high = np.full(size, np.inf, np.float32)
-        self.observation_space = gymnasium.spaces.Box(-high, high)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-
-    @staticmethod
-    def _flat(parts: dict[str, np.ndarray]) -> np.ndarray:
-        return np.concatenate(list(parts.values())).astype(np.float32)
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict]:
-        return self._flat(self.environment.reset().observation), {}
-
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict]:
-        now = self.environment.step(action)
-        ended = now.discount == 0.0
-        truncated = now.last() and not ended
-        return self._flat(now.observation), float(now.reward), ended, truncated, {}
-
-    def guidance_action(self) -> np.ndarray:
-        """Action (3,) of the guidance law."""
-        return self.environment.task.episodes.guidance_action()[0]
-
-
-def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[dict[str, float]]:
-    """Our training, yielding each evaluation."""
+def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[Row]:
+    """Trains ours and yields each evaluation."""
     trainer = segment_trainer(course, config, seed)
     seen = 0
     try:
@@ -114,10 +69,9 @@ def ours(course: Course, config: LearnConfig, seed: int) -> Iterator[dict[str, f
         trainer.close()
 
 
-def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[dict[str, float]]:
-    """SB3's training, in its own loop from evaluation to evaluation, yielding each."""
+def sb3(course: Course, config: LearnConfig, seed: int, budget: int) -> Iterator[Row]:
+    """Trains SB3's in its own loop, from evaluation to evaluation, and yields each."""
     env, evaluator = FlightGym(course, config, seed), Evaluator([course], config, seed)
-    demonstrations = config.demonstrations if args.sb3_demonstrations else 0
     share = 0.0  # of the way down to the final learning rates
     model = make_sb3(
         env,
@@ -127,10 +81,10 @@ def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[
         tau=config.alpha_target,
         batch_size=config.batch,
         buffer_size=config.buffer,
-        learning_starts=0 if demonstrations else config.batch,
+        learning_starts=0,
         train_freq=1,
         gradient_steps=1,
-        action_noise=NormalActionNoise(np.zeros(3), np.full(3, args.sb3_noise)),
+        action_noise=NormalActionNoise(np.zeros(3), np.full(3, SB3_NOISE)),
         seed=seed,
     )
 
@@ -138,15 +92,15 @@ def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[
         with torch.no_grad():
             return model.actor(torch.from_numpy(observation)).numpy()
 
-    demonstrate(env, model.replay_buffer, config, seed, demonstrations)
+    demonstrate(env, model.replay_buffer, config, seed)
     try:
-        while model.num_timesteps < args.sb3_updates:
+        while model.num_timesteps < budget:
             share = min(model.num_timesteps / config.updates, 1.0)
             model.learn(config.eval_every, reset_num_timesteps=False)
             found = evaluator(act)
             yield {
                 "updates": model.num_timesteps,
-                "transitions": demonstrations + model.num_timesteps,
+                "transitions": config.demonstrations + model.num_timesteps,
                 "success_rate": found.success_rate,
                 "mean_time": found.mean_time,
             }
@@ -154,13 +108,13 @@ def sb3(course: Course, config: LearnConfig, seed: int, args: Args) -> Iterator[
         evaluator.close()
 
 
-def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int, count: int) -> None:
-    """Fly `count` slots by the guidance law with the noises of our training, into SB3's buffer."""
+def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int) -> None:
+    """Flies the demonstrations by the law with the noises of our training, into SB3's buffer."""
     rng = np.random.default_rng(seed)
     scales = np.linspace(config.noise_min, config.noise_max, config.envs)
     observation, _ = env.reset()
     scale = rng.choice(scales)
-    for _ in range(count):
+    for _ in range(config.demonstrations):
         noise = rng.normal(0.0, scale, 3)
         action = np.clip(env.guidance_action() + noise, -1.0, 1.0).astype(np.float32)
         after, reward, ended, truncated, _ = env.step(action)
@@ -174,7 +128,7 @@ def demonstrate(env: FlightGym, buffer: Any, config: LearnConfig, seed: int, cou
 
 
 def warm_up(course: Course, config: LearnConfig) -> None:
-    """Let numba compile, or load, what both sides use before any clock runs."""
+    """Lets numba compile, or load, what both sides use before any clock runs."""
     trainer = segment_trainer(course, config, seed=0)
     next(iter(trainer.run()))
     trainer.close()
@@ -182,9 +136,9 @@ def warm_up(course: Course, config: LearnConfig) -> None:
     env.step(env.guidance_action())
 
 
-def race(sides: dict[str, Iterator[dict[str, float]]]) -> dict[str, dict[str, Any]]:
-    """Run the sides in turn from evaluation to evaluation, each until all its starts arrive."""
-    logs: dict[str, list[dict[str, float]]] = {name: [] for name in sides}
+def race(sides: dict[str, Iterator[Row]]) -> dict[str, Row]:
+    """Runs the sides in turn from evaluation to evaluation, each until all its starts arrive."""
+    logs: dict[str, list[Row]] = {name: [] for name in sides}
     active = dict(sides)
     while active:
         for name, side in list(active.items()):
@@ -204,12 +158,12 @@ def race(sides: dict[str, Iterator[dict[str, float]]]) -> dict[str, dict[str, An
     return {name: summary(log) for name, log in logs.items()}
 
 
-def summary(log: list[dict[str, float]]) -> dict[str, Any]:
-    """What a run reached, and its rates."""
-    last, best = log[-1], max(log, key=lambda found: found["success_rate"])
+def summary(log: list[Row]) -> Row:
+    """Returns what a run reached, and its rates."""
+    last, best = log[-1], max(found["success_rate"] for found in log)
     return {
-        "all_arrived": best["success_rate"] == 1.0,
-        "best_success_rate": best["success_rate"],
+        "all_arrived": best == 1.0,
+        "best_success_rate": best,
         **{name: last[name] for name in ("seconds", "cpu_seconds", "updates", "transitions")},
         "updates_per_second": last["updates"] / last["seconds"],
         "transitions_per_second": last["transitions"] / last["seconds"],
@@ -218,28 +172,29 @@ def summary(log: list[dict[str, float]]) -> dict[str, Any]:
 
 
 def main(args: Args) -> None:
-    """Run, print, save."""
+    """Runs, prints, saves."""
     torch.set_num_threads(1)
     scene = Scene.find(args.scene)
     order = plan_order(scene, "lkh")
     course = Course.segment(scene, order, first_blocked(scene, order))
-    # The actor learns from the first update on, as SB3's does.
-    config = LearnConfig(threads=args.threads, actor_delay=0)
+    config = LearnConfig(actor_delay=0)  # the actor learns from the first update on, as SB3's does
     warm_up(course, config)
-    results = []
+    results = {}
     for seed in args.seeds:
-        results.append(
-            race({"ours": ours(course, config, seed), "SB3": sb3(course, config, seed, args)})
-        )
-        for name, run in results[-1].items():
+        sides = {
+            "ours": ours(course, config, seed),
+            "SB3": sb3(course, config, seed, args.sb3_updates),
+        }
+        results[seed] = race(sides)
+        for name, run in results[seed].items():
             report(f"{name}, seed {seed}", run)
-    fair = all(each["ours"]["all_arrived"] for each in results)
+    pairs = [(each["ours"], each["SB3"]) for each in results.values()]
     ratios = {
-        clock: statistics.median(each["SB3"][clock] / each["ours"][clock] for each in results)
+        clock: statistics.median(peer[clock] / own[clock] for own, peer in pairs)
         for clock in ("seconds", "cpu_seconds", "updates")
     }
-    bound = any(not each["SB3"]["all_arrived"] for each in results)
-    met = fair and ratios["seconds"] >= TARGET
+    bound = not all(peer["all_arrived"] for _, peer in pairs)
+    met = all(own["all_arrived"] for own, _ in pairs) and ratios["seconds"] >= TARGET
     least = "at least " if bound else ""
     print(
         f"\ntransitions per update: ours {config.envs * config.u1 / config.u2:g}, SB3 1\n"
@@ -253,13 +208,13 @@ def main(args: Args) -> None:
         "met": met,
         "ratios": ratios,
         "ratio_is_lower_bound": bound,
-        "results": dict(zip(args.seeds, results, strict=True)),
+        "results": results,
     }
-    save(args.out, content, arguments=dataclasses.asdict(args), versions=peer_versions())
+    save(args.out, content, args, peer_versions())
 
 
-def report(name: str, run: dict[str, Any]) -> None:
-    """Print one run."""
+def report(name: str, run: Row) -> None:
+    """Prints one run."""
     print(
         f"{name}: {'all starts' if run['all_arrived'] else 'NOT all starts'} arrived "
         f"(best evaluation {run['best_success_rate']:.0%}) after {run['seconds']:.1f} s, "

@@ -1,4 +1,4 @@
-"""Updates per second of the learner against Stable-Baselines3's DDPG and hand-written torch loops.
+"""Compares the learner's speed with Stable-Baselines3's DDPG and hand-written torch loops.
 
     OMP_NUM_THREADS=1 python -m benchmarks.learner --out docs/results/learner.json
 
@@ -11,12 +11,9 @@ Needs `pip install .[bench]`.
 from __future__ import annotations
 
 import copy
-import dataclasses
 import statistics
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,46 +22,54 @@ import tyro
 from stable_baselines3.common.buffers import ReplayBuffer
 from tensordict import TensorDict
 
-from benchmarks.results import save
+from benchmarks.common import Output, Row, measure_rates, median_ratio, print_table, save
 from benchmarks.sb3 import Spaces, make_sb3, peer_versions
+from mjcollect.learning.ddpg import make_actor, make_buffer, make_critic
 from mjcollect.learning.fast_ddpg import LEARNERS
-from mjcollect.learning.networks import make_actor, make_critic
-from mjcollect.learning.replay import make_buffer
 
 GAMMA, TAU, RATE = 0.99, 0.01, 1e-3
+OBSERVATION = 52  # numbers in an observation
+ROUND = 8  # updates that ours and SB3's make in one call, as in training
+LEAN, SB3 = "ours, lean", "SB3"
+PLAIN, TUNED = "hand-written, as CleanRL", "hand-written, tuned"
+COLUMNS = (
+    ("learner", "{learner}"),
+    ("updates/s", "{updates_per_second:.0f}"),
+    ("of SB3", "{of SB3:.2f}"),
+    ("of hand-written, as CleanRL", "{of hand-written, as CleanRL:.2f}"),
+    ("of tuned", "{of hand-written, tuned:.2f}"),
+)
+# Least share of a peer's updates per second that ours should reach; the peer, and its name in full.
 TARGETS = {"SB3": 1.3, "hand-written": 0.9}
-LABELS = {"SB3": "SB3 as it comes", "hand-written": "the faster hand-written loop"}
+PEERS = {
+    "SB3": (SB3, "SB3 as it comes"),
+    "hand-written": (TUNED, "the faster hand-written loop"),
+}
+Learn = Callable[[], object]  # makes the updates of one call; the last critic loss
 
 
 @dataclass(frozen=True)
-class Args:
-    """Measure updates per second of each learner."""
+class Args(Output):
+    """Measures updates per second of each learner."""
 
     sizes: tuple[tuple[int, int], ...] = ((128, 256), (256, 256), (128, 128))
-    """Width of the hidden layers and transitions in a batch, per table."""
-    observation: int = 52
-    """Length of the observation."""
+    """Width of the hidden layers and transitions in a batch, for each table."""
     repeats: int = 15
-    """Interleaved rounds."""
+    """Number of rounds, in each of which all learners have a turn."""
     updates: int = 64
-    """Updates of each learner in a round."""
-    u2: int = 8
-    """Updates that ours and SB3's make in one call, as in training."""
+    """Updates that each learner makes in a round, a multiple of 8."""
     transitions: int = 20_000
     """Transitions in each replay buffer."""
-    out: Path | None = None
-    """JSON file for the results."""
 
 
-def experience(args: Args) -> TensorDict:
-    """Random transitions."""
-    n, d = args.transitions, args.observation
+def experience(n: int) -> TensorDict:
+    """Returns n random transitions."""
     return TensorDict(
         {
-            "observation": torch.randn(n, d),
+            "observation": torch.randn(n, OBSERVATION),
             "action": torch.rand(n, 3) * 2 - 1,
             "next": {
-                "observation": torch.randn(n, d),
+                "observation": torch.randn(n, OBSERVATION),
                 "reward": torch.randn(n, 1),
                 "done": torch.rand(n, 1) < 0.02,
                 "terminated": torch.rand(n, 1) < 0.01,
@@ -74,25 +79,19 @@ def experience(args: Args) -> TensorDict:
     )
 
 
-def ours(kind: str, width: int, batch: int, data: TensorDict, args: Args) -> Callable[[int], None]:
-    """Our learner, of either kind."""
+def ours(kind: str, width: int, batch: int, data: TensorDict) -> Learn:
+    """Returns the call of our learner, of either kind."""
     learner = LEARNERS[kind](
-        args.observation, width=width, gamma=GAMMA, alpha_actor=RATE, alpha_critic=RATE,
+        OBSERVATION, width=width, gamma=GAMMA, alpha_actor=RATE, alpha_critic=RATE,
         alpha_target=TAU, final_rate=1.0, total_updates=1,
     )  # fmt: skip
     buffer = make_buffer(len(data), batch, seed=0)
     buffer.extend(data)
-
-    def learn(updates: int) -> None:
-        for _ in range(updates // args.u2):
-            losses = learner.learn(buffer, args.u2)
-        check(losses[-1])
-
-    return learn
+    return lambda: learner.learn(buffer, ROUND)[-1]
 
 
 def fill(buffer: ReplayBuffer, data: TensorDict) -> ReplayBuffer:
-    """Put the transitions into SB3's buffer."""
+    """Puts the transitions into SB3's buffer."""
     after = data["next"]
     buffer.observations[:, 0] = data["observation"].numpy()
     buffer.next_observations[:, 0] = after["observation"].numpy()
@@ -103,42 +102,36 @@ def fill(buffer: ReplayBuffer, data: TensorDict) -> ReplayBuffer:
     return buffer
 
 
-def sb3(
-    width: int, batch: int, data: TensorDict, args: Args, *, fused: bool
-) -> Callable[[int], None]:
-    """Stable-Baselines3's DDPG."""
+def sb3(width: int, batch: int, data: TensorDict, *, fused: bool) -> Learn:
+    """Returns the call of Stable-Baselines3's DDPG."""
     model = make_sb3(
-        Spaces(args.observation), width, fused=fused, buffer_size=len(data), gamma=GAMMA, tau=TAU,
+        Spaces(OBSERVATION), width, fused=fused, buffer_size=len(data), gamma=GAMMA, tau=TAU,
         learning_rate=RATE, seed=0,
     )  # fmt: skip
     fill(model.replay_buffer, data)
 
-    def learn(updates: int) -> None:
-        for _ in range(updates // args.u2):
-            model.train(gradient_steps=args.u2, batch_size=batch)
-        check(model.logger.name_to_value["train/critic_loss"])
+    def learn() -> float:
+        model.train(gradient_steps=ROUND, batch_size=batch)
+        return model.logger.name_to_value["train/critic_loss"]
 
     return learn
 
 
-def by_hand(
-    width: int, batch: int, data: TensorDict, args: Args, *, tuned: bool
-) -> Callable[[int], None]:
-    """A loop in plain torch, as CleanRL's ddpg_continuous_action has it.
+def by_hand(width: int, batch: int, data: TensorDict, *, tuned: bool) -> Learn:
+    """Returns the call of a loop in plain torch, as CleanRL's ddpg_continuous_action has it.
 
-    `tuned`: with fused Adam, one call for the soft update, and a buffer of torch tensors.
+    If `tuned`, it has fused Adam, one call for the soft update, and a buffer of torch tensors.
     """
-    mlp = make_actor(args.observation, width)[0].module
-    actor, critic = torch.nn.Sequential(mlp, torch.nn.Tanh()), make_critic(args.observation, width)
+    mlp = make_actor(OBSERVATION, width)[0].module
+    actor, critic = torch.nn.Sequential(mlp, torch.nn.Tanh()), make_critic(OBSERVATION, width)
     critic = critic.module
     nets = (actor, critic)
     targets = tuple(copy.deepcopy(net).requires_grad_(False) for net in nets)
     actor_optimizer, critic_optimizer = (
         torch.optim.Adam(net.parameters(), lr=RATE, fused=tuned or None) for net in nets
     )
-    pairs = [list(net.parameters()) for net in nets], [list(net.parameters()) for net in targets]
-    online, delayed = (first + second for first, second in pairs)
-    spaces = Spaces(args.observation)
+    online, delayed = ([p for net in part for p in net.parameters()] for part in (nets, targets))
+    spaces = Spaces(OBSERVATION)
     buffer = fill(
         ReplayBuffer(
             len(data), spaces.observation_space, spaces.action_space, "cpu",
@@ -179,76 +172,64 @@ def by_hand(
                 target.data.copy_(TAU * p.data + (1 - TAU) * target.data)
         return critic_loss
 
-    def learn(updates: int) -> None:
-        for _ in range(updates):
-            loss = update()
-        check(loss)
-
-    return learn
+    return lambda: [update() for _ in range(ROUND)][-1]
 
 
-def check(loss: object) -> None:
-    """Refuse to time updates that have gone wrong."""
-    if not np.isfinite(np.asarray(torch.as_tensor(loss).detach())).all():
-        raise RuntimeError(f"loss: {loss}: must be finite")
+def lasting(learn: Learn, updates: int) -> Callable[[], int]:
+    """Repeats a learner's call for so many updates, and refuses those that have gone wrong."""
+    learn()  # what is compiled or loaded at first use
+    learn()
+
+    def work() -> int:
+        for _ in range(updates // ROUND):
+            loss = learn()
+        if not np.isfinite(np.asarray(torch.as_tensor(loss).detach())).all():
+            raise RuntimeError(f"loss: {loss}: must be finite")
+        return updates
+
+    return work
 
 
-def measure(width: int, batch: int, args: Args) -> dict[str, dict[str, float]]:
-    """Updates per second of each learner and its ratio to SB3's, medians over the rounds."""
+def measure(width: int, batch: int, args: Args) -> dict[str, Row]:
+    """Returns each learner's updates per second and ratios to the others', medians over rounds."""
     torch.manual_seed(0)
-    data = experience(args)
-    ways = {
-        "ours, lean": ours("lean", width, batch, data, args),
-        "ours, TorchRL": ours("torchrl", width, batch, data, args),
-        "SB3": sb3(width, batch, data, args, fused=False),
-        "SB3, fused Adam": sb3(width, batch, data, args, fused=True),
-        "hand-written, as CleanRL": by_hand(width, batch, data, args, tuned=False),
-        "hand-written, tuned": by_hand(width, batch, data, args, tuned=True),
+    data = experience(args.transitions)
+    learners = {
+        LEAN: ours("lean", width, batch, data),
+        "ours, TorchRL": ours("torchrl", width, batch, data),
+        SB3: sb3(width, batch, data, fused=False),
+        "SB3, fused Adam": sb3(width, batch, data, fused=True),
+        PLAIN: by_hand(width, batch, data, tuned=False),
+        TUNED: by_hand(width, batch, data, tuned=True),
     }
-    for learn in ways.values():
-        learn(args.u2 * 2)
-    rates: dict[str, list[float]] = {way: [] for way in ways}
-    for _ in range(args.repeats):
-        for way, learn in ways.items():
-            start = time.perf_counter()
-            learn(args.updates)
-            rates[way].append(args.updates / (time.perf_counter() - start))
+    works = {way: lasting(learn, args.updates) for way, learn in learners.items()}
+    rates = {way: own.per_second for way, own in measure_rates(works, args.repeats).items()}
     return {
         way: {
-            "updates_per_second": statistics.median(rates[way]),
-            **{f"of {peer}": ratio(rates[way], rates[peer]) for peer in ways if peer != way},
+            "updates_per_second": statistics.median(own),
+            **{f"of {p}": median_ratio(own, rates[p]) for p in rates if p != way},
         }
-        for way in ways
+        for way, own in rates.items()
     }
-
-
-def ratio(one: list[float], other: list[float]) -> float:
-    """Median over the rounds, which both ran side by side."""
-    return statistics.median(a / b for a, b in zip(one, other, strict=True))
 
 
 def main(args: Args) -> None:
-    """Measure, print, save."""
+    """Measures, prints, saves."""
     torch.set_num_threads(1)
     results = []
     for width, batch in args.sizes:
         table = measure(width, batch, args)
-        print(f"\nobservation {args.observation}, {width} x {width}, batch {batch}\n")
-        print("| learner | updates/s | of SB3 | of hand-written, as CleanRL | of tuned |")
-        print("|---|---|---|---|---|")
-        for way, row in table.items():
-            peers = ("SB3", "hand-written, as CleanRL", "hand-written, tuned")
-            shares = " | ".join(f"{row.get(f'of {peer}', 1.0):.2f}" for peer in peers)
-            print(f"| {way} | {row['updates_per_second']:.0f} | {shares} |")
-        lean = table["ours, lean"]
-        reached = {"SB3": lean["of SB3"], "hand-written": lean["of hand-written, tuned"]}
-        met = {peer: reached[peer] >= least for peer, least in TARGETS.items()}
-        for peer, least in TARGETS.items():
-            verdict = "met" if met[peer] else "MISSED"
-            print(f"target: {least} of {LABELS[peer]}: {reached[peer]:.2f}, {verdict}")
+        print(f"\nobservation {OBSERVATION}, {width} x {width}, batch {batch}\n")
+        print_table([{"learner": w, f"of {w}": 1.0, **row} for w, row in table.items()], COLUMNS)
+        met = {}
+        for key, least in TARGETS.items():
+            peer, name = PEERS[key]
+            reached = table[LEAN][f"of {peer}"]
+            met[key] = reached >= least
+            verdict = "met" if met[key] else "MISSED"
+            print(f"target: {least} of {name}: {reached:.2f}, {verdict}")
         results.append({"width": width, "batch": batch, "table": table, "met": met})
-    content = {"targets": TARGETS, "results": results}
-    save(args.out, content, arguments=dataclasses.asdict(args), versions=peer_versions())
+    save(args.out, {"targets": TARGETS, "results": results}, args, peer_versions())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Missions over generated scenes: learned policies, MPC and guidance law, side by side.
+"""Flies missions over generated scenes: learned policies, MPC and guidance law, side by side.
 
     python -m benchmarks.missions --floating 20 --city 10 --out docs/results/missions.json
 
@@ -19,13 +19,14 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 import tyro
 
-from benchmarks.results import save
+from benchmarks.common import Row, grouped, load_rows, save
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight, fly_law, record
 from mjcollect.generate import generate
@@ -34,63 +35,59 @@ from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.reference.reference import Reference
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
+from train.support.markdown import markdown_table
 from train.support.mission_report import mission_result
 
 SHOWN = (
     "success", "mission_time", "lower_bound", "ratio", "detour_time", "contacts", "violations",
     "shield_share",
 )  # fmt: skip
-Row = dict[str, Any]
+COLUMNS = (
+    "layout", "order", "planner", "success", "contacts", "ratio mean", "worst",
+    "of detour time mean", "worst", "decision (ms)", "seconds", "worst",
+)  # fmt: skip
+Planner = Literal["policy", "finetuned", "shipped", "mpc", "reference", "guidance"]
 
 
 @dataclass(frozen=True)
 class Args:
-    """Fly every planner over every scene."""
+    """Flies every planner over every scene."""
 
     floating: int = 20
-    """Generated scenes of floating boxes."""
+    """Number of generated scenes with floating boxes."""
     city: int = 10
-    """Generated scenes of grounded boxes."""
+    """Number of generated scenes with grounded boxes."""
     items: int = 8
-    """Items in each."""
+    """Number of items in each scene."""
     first_seed: int = 5000
-    """Scene seeds count up from here."""
+    """Seed of the first scene of each layout, from which seeds count up."""
     order: str = "lkh"
     """Visiting order: lkh, exact, random or given."""
-    planners: tuple[str, ...] = ("policy", "mpc", "guidance")
-    """Which planners fly: policy, finetuned, shipped, mpc, reference, guidance."""
+    planners: tuple[Planner, ...] = ("policy", "mpc", "guidance")
+    """Planners that fly; `policy`, `finetuned` and `shipped` are learned."""
     workers: int = 2
     """Processes that train a mission's segments side by side."""
-    seed: int = 0
-    """Seed of the training."""
     out: Path | None = None
-    """JSON file for the results, and to go on from."""
+    """JSON file for the results; missions that it holds already are not flown again."""
 
 
-def fly_mpc(course: Course) -> tuple[Flight, Row]:
-    """The MPC's flight, and how it decided."""
-    mpc, milliseconds = Mpc(course), []
+def fly_planned(kind: Callable[[Course], Any], course: Course) -> tuple[Flight, Row]:
+    """Returns the flight of a planner made by `kind`, and how it decided."""
+    planner, milliseconds = kind(course), []
 
-    def decide(task: Any) -> Any:
+    def decide(_: Any, task: Any) -> Any:
         begun = time.perf_counter()
-        action = mpc.action(task.episodes)
+        action = planner.action(task.episodes)
         milliseconds.append(1e3 * (time.perf_counter() - begun))
         return action
 
-    flight = record(course, lambda _, task: decide(task))
-    more = {"counts": dict(mpc.counts), "solver": dict(mpc.statuses)}
-    return flight, more | {"decision_ms": statistics.median(milliseconds)}
-
-
-def fly_reference(course: Course) -> tuple[Flight, Row]:
-    """The flight of the whole mission planned ahead, and how it was planned."""
-    reference = Reference(course)
-    flight = record(course, lambda _, task: reference.action(task.episodes))
-    return flight, {"counts": dict(reference.counts), "solver": dict(reference.statuses)}
+    flight = record(course, decide)
+    how = {"counts": dict(planner.counts), "solver": dict(planner.statuses)}
+    return flight, how | {"decision_ms": statistics.median(milliseconds)}
 
 
 def run(scene: Scene, program: Sequence[str], args: Args) -> tuple[Row, Row]:
-    """The result of one of PROGRAMS; its memory, its training times, who flew in the end."""
+    """Runs one of PROGRAMS; returns its result, and its memory, training and final pilot."""
     with tempfile.TemporaryDirectory() as folder:
         path, out = Path(folder) / "scene.json", Path(folder) / "run"
         scene.save(path)
@@ -99,9 +96,7 @@ def run(scene: Scene, program: Sequence[str], args: Args) -> tuple[Row, Row]:
         if program[0] == "train.mission":
             command += ["--workers", str(args.workers)]
         with open(Path(folder) / "messages", "w") as messages:
-            process = subprocess.Popen(
-                [*command, "--seed", str(args.seed)], stdout=messages, stderr=messages
-            )
+            process = subprocess.Popen(command, stdout=messages, stderr=messages)
             peak = 0.0
             while process.poll() is None:
                 peak = max(peak, memory(process.pid))
@@ -121,14 +116,14 @@ def run(scene: Scene, program: Sequence[str], args: Args) -> tuple[Row, Row]:
 
 
 def memory(pid: int) -> float:
-    """Proportional set size of a process and its descendants, in GiB (Linux)."""
-    total = 0
+    """Returns the proportional set size of a process and its descendants, in GiB (Linux)."""
+    total = 0.0
     with contextlib.suppress(OSError):
         rollup = Path(f"/proc/{pid}/smaps_rollup").read_text()
-        total = int(rollup.split("Pss:")[1].split()[0])
-        for child in Path(f"/proc/{pid}/task").glob("*/children"):
-            total += sum(int(memory(int(other)) * 2**20) for other in child.read_text().split())
-    return total / 2**20
+        total = int(rollup.split("Pss:")[1].split()[0]) / 2**20
+        for children in Path(f"/proc/{pid}/task").glob("*/children"):
+            total += sum(memory(int(child)) for child in children.read_text().split())
+    return total
 
 
 PROGRAMS = {
@@ -138,14 +133,14 @@ PROGRAMS = {
 }
 OF_SHIPPED = ("finetuned", "shipped")  # flown anew when another policy is shipped
 PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
-    "mpc": fly_mpc,
-    "reference": fly_reference,
+    "mpc": partial(fly_planned, Mpc),
+    "reference": partial(fly_planned, Reference),
     "guidance": lambda course: (fly_law(course), {}),
 }
 
 
 def scenes(args: Args) -> list[Scene]:
-    """All scenes, of each layout with seeds counting up."""
+    """Returns all scenes."""
     return [
         generate(args.first_seed + number, args.items, layout=layout)
         for layout, count in (("floating", args.floating), ("city", args.city))
@@ -153,52 +148,45 @@ def scenes(args: Args) -> list[Scene]:
     ]
 
 
+def fly_mission(scene: Scene, name: str, args: Args) -> Row:
+    """Flies one mission by a planner, and returns its row of the results."""
+    order = plan_order(scene, args.order, seed=scene.seed)
+    course = None if name in PROGRAMS else Course.mission(scene, order)
+    begun = time.perf_counter()
+    if course is None:
+        result, more = run(scene, PROGRAMS[name], args)
+    else:
+        flight, more = PLANNERS[name](course)
+        untrained = [None] * (len(order) + 1)
+        result = mission_result(course, order, args.order, flight, untrained, scene.seed)
+    row = {"scene": scene.name, "layout": scene.name.split("_")[0], "planner": name}
+    row |= {"order_method": args.order, "seed": scene.seed}
+    row |= {key: result[key] for key in SHOWN}
+    return row | {"seconds": time.perf_counter() - begun} | more
+
+
 def missions(args: Args, rows: list[Row]) -> None:
-    """Fly what `rows` does not hold yet, add it and save."""
-    shipped = policy_digest(SHIPPED)
-    done = {
-        (row["scene"], row["planner"], row["order_method"])
-        for row in rows
-        if row.get("shipped") == (shipped if row["planner"] in OF_SHIPPED else None)
-    }
+    """Flies what `rows` does not hold yet, adds it and saves."""
+    digests = dict.fromkeys(OF_SHIPPED, policy_digest(SHIPPED))
     for scene in scenes(args):
-        todo = [name for name in args.planners if (scene.name, name, args.order) not in done]
-        if not todo:
-            continue
-        order = plan_order(scene, args.order, seed=scene.seed)
-        course = Course.mission(scene, order)
-        for name in todo:
-            begun = time.perf_counter()
-            if name in PROGRAMS:
-                result, more = run(scene, PROGRAMS[name], args)
-            else:
-                flight, more = PLANNERS[name](course)
-                untaught = [None] * (len(order) + 1)
-                result = mission_result(course, order, args.order, flight, untaught, scene.seed)
-            seconds = time.perf_counter() - begun
-            row = {"scene": scene.name, "layout": scene.name.split("_")[0], "planner": name}
-            row |= {"order_method": args.order, "seed": scene.seed}
-            row |= {key: result[key] for key in SHOWN} | {"seconds": seconds} | more
-            if name in OF_SHIPPED:
-                row["shipped"] = shipped
-            same = ("scene", "planner", "order_method")  # flown by another policy
-            rows[:] = [old for old in rows if any(old[key] != row[key] for key in same)]
-            rows.append(row)
+        for name in args.planners:
+            key = scene.name, name, args.order
+            old = grouped(rows, "scene", "planner", "order_method").get(key, [])
+            if any(row.get("shipped") == digests.get(name) for row in old):
+                continue
+            row = fly_mission(scene, name, args)
+            if name in digests:
+                row["shipped"] = digests[name]
+            rows[:] = [*(row for row in rows if row not in old), row]
             save(args.out, {"results": rows})
-            time_flown = f"{row['mission_time']:.1f} s" if row["success"] else "no success"
-            print(f"{scene.name}: {name}: {time_flown}, in {seconds:.0f} s", flush=True)
+            flown = f"{row['mission_time']:.1f} s" if row["success"] else "no success"
+            print(f"{scene.name}: {name}: {flown}, in {row['seconds']:.0f} s", flush=True)
 
 
-def summary(rows: list[Row]) -> list[str]:
-    """Lines of a table: a row for each layout, order and planner."""
-    lines = [
-        "| layout | order | planner | success | contacts | ratio mean | worst "
-        "| of detour time mean | worst | decision (ms) | seconds | worst |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    kinds = dict.fromkeys((row["layout"], row["order_method"], row["planner"]) for row in rows)
-    for kind in kinds:
-        mine = [r for r in rows if (r["layout"], r["order_method"], r["planner"]) == kind]
+def summary(rows: Sequence[Row]) -> list[str]:
+    """Returns the lines of a table: a row for each layout, order and planner."""
+    table = []
+    for kind, mine in grouped(rows, "layout", "order_method", "planner").items():
         won = [row for row in mine if row["success"]]
         cells = [*kind, f"{len(won)} of {len(mine)}", str(sum(row["contacts"] for row in mine))]
         ratios = [row["ratio"] for row in won]
@@ -207,22 +195,15 @@ def summary(rows: list[Row]) -> list[str]:
             cells += [f"{statistics.mean(values):.4f}", f"{max(values):.4f}"] if won else ["", ""]
         timed = [row["decision_ms"] for row in mine if "decision_ms" in row]
         cells.append(f"{statistics.median(timed):.1f}" if timed else "")
-        cells.append(f"{statistics.median(row['seconds'] for row in mine):.0f}")
-        cells.append(f"{max(row['seconds'] for row in mine):.0f}")
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        seconds = [row["seconds"] for row in mine]
+        table.append([*cells, f"{statistics.median(seconds):.0f}", f"{max(seconds):.0f}"])
+    return markdown_table(COLUMNS, table)
 
 
 def main(args: Args) -> None:
-    """Fly, save, print."""
+    """Flies, saves, prints."""
     torch.set_num_threads(1)
-    known = [*PROGRAMS, *PLANNERS]
-    unknown = sorted(set(args.planners) - set(known))
-    if unknown:
-        raise SystemExit(f"--planners: {unknown[0]}: must be one of {', '.join(known)}")
-    rows: list[Row] = []
-    if args.out and args.out.is_file():
-        rows = json.loads(args.out.read_text())["results"]
+    rows = load_rows(args.out)
     missions(args, rows)
     print("\n".join(summary(rows)))
 

@@ -1,4 +1,4 @@
-"""Which backup manoeuvre of the shield costs least time.
+"""Compares backup manoeuvres of the shield: which costs least time.
 
     python -m benchmarks.shield --out docs/results/shield.json
 
@@ -10,25 +10,24 @@ process of its own. Times are compared on the segments in which all of them arri
 from __future__ import annotations
 
 import importlib
-import json
 import os
-import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
 
-from benchmarks.results import save
+from benchmarks.common import Output, save, segment_course
+from mjcollect.envs.recording import Flight, fly
 from mjcollect.generate import LAYOUTS
-from mjcollect.learning.policy import SHIPPED, policy_digest, weights_file
+from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
 from train.generalist import HELD_OUT
-from train.jobs.segment_pool import draw_segment
+from train.jobs.processes import importing_pool
 
-FIRST = HELD_OUT + 60_000
+FIRST = HELD_OUT + 60_000  # no other benchmark flies these segments
 # Slots for which a command is held before braking, and shares of it beside full braking; 1 is the
 # command itself, which is not allowed by then, and stands for none.
 MANOEUVRES: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {
@@ -40,96 +39,65 @@ MANOEUVRES: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Args:
-    """Compare backup manoeuvres."""
+class Args(Output):
+    """Compares backup manoeuvres."""
 
     policy: Path = SHIPPED
-    """The policy that flies."""
+    """Policy that flies: shipped, or a file."""
     segments: int = 60
-    """Segments of each layout."""
+    """Number of segments of each layout."""
     seed: int = 0
     """Seed of the segments."""
-    out: Path | None = None
-    """JSON file to write."""
-    child: str | None = None
-    """Fly by this set of manoeuvres alone, and print the flights; for the program itself."""
 
 
-def flights(args: Args, name: str) -> dict[str, list[Any]]:
-    """Seconds of each segment, None where it did not arrive; slots, and those bent."""
+def fly_segments(args: Args, name: str) -> list[Flight]:
+    """Flies every segment by one set of manoeuvres, in a process that has not flown before."""
     # The module; the package's attribute of that name is the function.
     rule: Any = importlib.import_module("mjcollect.flight.shield")
-    rule.HELD, rule.BENT = MANOEUVRES[name]  # before the first call compiles it
-    from mjcollect.envs.batch import Simulations
-    from mjcollect.envs.episode import Rules
-    from mjcollect.learning.policy import TrainedPolicy
-
+    rule.HELD, rule.BENT = MANOEUVRES[name]  # the first flight compiles them into the code
     policy = TrainedPolicy.load(weights_file(args.policy))
-    found: dict[str, list[Any]] = {"seconds": [], "slots": [], "shielded": [], "contacts": []}
-    for layout in LAYOUTS:
-        for number in range(FIRST, FIRST + args.segments):
-            course = draw_segment(args.seed, number, layout).course(Path("nowhere"))
-            sims = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
-            sims.place(np.array([0]), *course.starts("point", 1, np.random.default_rng(0)))
-            slots = shielded = contacts = 0
-            ended = success = False
-            while not ended:
-                outcome = sims.step(policy(sims.observe().astype(np.float32)))
-                slots += 1
-                shielded += int(outcome.shielded[0])
-                contacts += int(outcome.slot.crashed[0])
-                success = bool(outcome.success[0])
-                ended = bool(outcome.terminated[0] | outcome.truncated[0])
-            sims.close()
-            found["seconds"].append(slots * course.scene.slot if success else None)
-            found["slots"].append(slots)
-            found["shielded"].append(shielded)
-            found["contacts"].append(contacts)
-    return found
+    numbers = range(FIRST, FIRST + args.segments)
+    courses = (segment_course(args.seed, n, layout) for layout in LAYOUTS for n in numbers)
+    return [fly(course, [policy], policy.observation) for course in courses if course is not None]
 
 
-def fly_apart(args: Args, name: str) -> dict[str, list[Any]]:
-    """`flights` in a process with a cache of its own, since its kernels are compiled otherwise."""
-    words = ["--policy", str(args.policy), "--segments", str(args.segments)]
-    command = [sys.executable, "-m", "benchmarks.shield", *words, "--seed", str(args.seed)]
-    with tempfile.TemporaryDirectory() as cache:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        done = subprocess.run(
-            [*command, "--child", name], env=environment, check=True, capture_output=True, text=True
-        )
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+def fly_apart(args: Args, name: str) -> list[Flight]:
+    """Flies in a process with a cache of its own, since its rule is compiled otherwise."""
+    with tempfile.TemporaryDirectory() as cache, importing_pool(1) as pool:
+        os.environ["NUMBA_CACHE_DIR"] = cache  # for the process, which starts at `submit`
+        return pool.submit(fly_segments, args, name).result()
 
 
 def main(args: Args) -> int:
-    """Fly by every set of manoeuvres, compare, save."""
-    if args.child is not None:
-        print(json.dumps(flights(args, args.child)))
-        return 0
+    """Flies by every set of manoeuvres, compares, saves; returns 0."""
     flown = {name: fly_apart(args, name) for name in MANOEUVRES}
     all_arrive = [
-        None not in seconds
-        for seconds in zip(*(one["seconds"] for one in flown.values()), strict=True)
+        all(flight.success for flight in flights) for flights in zip(*flown.values(), strict=True)
     ]
     rows = []
-    for name, one in flown.items():
-        both = [s for s, yes in zip(one["seconds"], all_arrive, strict=True) if yes]
+    for name, flights in flown.items():
+        times = [
+            f.trajectory.duration for f, all_do in zip(flights, all_arrive, strict=True) if all_do
+        ]
+        slots = [bent for flight in flights for bent in flight.shielded]
         rows.append(
             {
                 "manoeuvres": name,
-                "segments": len(one["seconds"]),
-                "arrived": sum(s is not None for s in one["seconds"]),
-                "contacts": sum(one["contacts"]),
-                "mean_time": float(np.mean(both)),
-                "shield_share": sum(one["shielded"]) / sum(one["slots"]),
+                "segments": len(flights),
+                "arrived": sum(flight.success for flight in flights),
+                "contacts": sum(flight.contacts for flight in flights),
+                "mean_time": float(np.mean(times)),
+                "shield_share": sum(slots) / len(slots),
             }
         )
-    found = {"policy": policy_digest(args.policy), "compared": sum(all_arrive), "rows": rows}
-    save(args.out, found, arguments=json.loads(json.dumps(asdict(args), default=str)))
+    compared = sum(all_arrive)
+    found = {"policy": policy_digest(args.policy), "compared": compared, "rows": rows}
+    save(args.out, found, args)
     for row in rows:
         print(
             f"{row['manoeuvres']:>44}: {row['arrived']} of {row['segments']} arrive, "
             f"{row['contacts']} contacts, {row['mean_time']:.2f} s where all do "
-            f"({found['compared']}), bent in {row['shield_share']:.2%} of slots"
+            f"({compared}), bent in {row['shield_share']:.2%} of slots"
         )
     return 0
 

@@ -109,7 +109,7 @@ class _Flight:
         self.speed = np.linalg.norm(trajectory.v, axis=1)
         self.slot_rows = round(scene.slot / scene.physics_step)
         self.stops: list[int] = []  # rows at which an item is collected
-        self.legs: list[int] = []  # and the segments that end there
+        self.segments: list[int] = []  # and the segments that end there
         self.found: list[Violation] = []
 
     def add(self, kind: str, row: int, segment: int, value: float, limit: float) -> None:
@@ -137,7 +137,7 @@ class _Flight:
             found = np.flatnonzero(self.at_rest_near(item)[begin:])
             if len(found):
                 self.stops.append(begin + int(found[0]))
-                self.legs.append(leg)
+                self.segments.append(leg)
             else:
                 missing.append((leg, item, min(begin, len(self.speed) - 1)))
         for leg, item, begin in missing:
@@ -151,7 +151,7 @@ class _Flight:
     def segment_at(self, row: int) -> int:
         """The segment being flown at a row; a stop's row still belongs to the one it ends."""
         done = int(np.searchsorted(self.stops, row))
-        return self.legs[done - 1] + 1 if done else self.segment
+        return self.segments[done - 1] + 1 if done else self.segment
 
     def at_rest_near(self, node: int) -> NDArray[np.bool_]:
         return (self.speed <= REST) & (self.distance(node) <= _reach(self.scene, node))

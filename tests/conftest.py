@@ -27,7 +27,7 @@ BOXES = [
 
 @pytest.fixture(scope="session")
 def corridor() -> Scene:
-    """Four boxes, two items; the leg to item 0 and the way back are blocked."""
+    """Four boxes, two items; the segment to item 0 and the way back are blocked."""
     return Scene(
         name="corridor",
         seed=0,

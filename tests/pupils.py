@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
-from mjcollect.learning.networks import make_actor
+from mjcollect.learning.ddpg import make_actor
 from mjcollect.learning.policy import TrainedPolicy
 
 

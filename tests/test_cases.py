@@ -46,7 +46,7 @@ def test_the_mpc_flies_it(name):
 
 
 def test_slots_of_5_s_are_not_wasted():
-    """95 s for the first leg once; a stop alone takes a slot, and so does every turn."""
+    """95 s for the first segment once; a stop alone takes a slot, and so does every turn."""
     _, order, course = planned("slot_of_5_s")
     planner = Mpc(course)
     flight = record(course, lambda _, task: planner.action(task.episodes))

@@ -13,7 +13,7 @@ from mjcollect.verify import Violation, _clearance, verify
 STEP, SLOT_ROWS = 0.02, 10
 ITEMS = [[300.0, 0, 0], [300, 400, 0], [0, 400, 300]]
 ORDER = (0, 1, 2)
-WALL = [[100.0, 0.6, 0], [200, 10, 10]]  # 0.6 m beside the first leg
+WALL = [[100.0, 0.6, 0], [200, 10, 10]]  # 0.6 m beside the first segment
 
 
 def scene(**fields) -> Scene:
@@ -88,7 +88,7 @@ def test_speed():
     found = verify(scene(v_max=49.0), mission(), ORDER)
     assert kinds(found) == {"speed"}
     assert all(49.0 < violation.value <= 50.0 for violation in found)
-    assert [violation.segment for violation in found] == [0, 1, 2, 3]  # once a leg
+    assert [violation.segment for violation in found] == [0, 1, 2, 3]  # once a segment
 
 
 def test_acceleration():

@@ -1,4 +1,4 @@
-"""Fly a scene at once by the policy that is shipped, or by a planner; or a finished mission again.
+"""Flies a scene at once with the shipped policy or a planner, or a finished mission again.
 
 python -m train.fly --scene FILE
 python -m train.fly --scene FILE --planner mpc
@@ -40,50 +40,57 @@ from train.support.starting_policy import check_size, start_from
 
 
 class Stopped(Exception):
-    """Ctrl-C ended a training."""
+    """Says that Ctrl-C ended a training."""
 
 
 @dataclass(frozen=True)
 class Args:
-    """Fly a mission with no training: a scene at once, or a finished run again."""
+    """Flies a mission without training it first: a scene at once, or a finished run again."""
 
     run: Path | None = None
-    """Folder of a finished train.mission run, whose policies fly."""
+    """Flies the policies of the finished train.mission run in this folder."""
     scene: str | None = None
-    """Scene file, or the name of a bundled scene; with --run it must be the run's own."""
+    """Names a scene file or a bundled scene; with --run it must be the run's own scene."""
     planner: Literal["policy", "mpc", "reference", "guidance"] = "policy"
-    """policy: the run's trained policies, or --policy. mpc: model predictive control. reference:
-    the whole mission planned ahead in the fewest slots. guidance: the law with no learning."""
+    """Selects what flies: policy (the run's trained policies, or --policy), mpc (model predictive
+    control), reference (the whole mission planned ahead in the fewest slots), or guidance (the
+    guidance law, which learns nothing)."""
     policy: Path | None = None
-    """Policy that flies --scene: shipped (default), or a file: policy.safetensors or policy.pt."""
+    """Names the policy that flies --scene: shipped (the default), or a .safetensors or .pt file."""
     finetune: int = 2_000
-    """Updates with which a segment is learned on in which that policy fails; 0 for none."""
+    """Trains that policy further for this many updates in each segment where it fails; 0 for
+    none."""
     order: str | None = None
-    """Visiting order for --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
+    """Sets the visiting order for --scene: lkh (the default), exact, random, given, or a list such
+    as 2,0,1."""
     out: Path | None = None
-    """Folder for the results; default: runs/fly/<scene's or run's name>-<planner>-seed<N>."""
+    """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>."""
     guidance_cache: Path | None = None
-    """Folder of guidance fields: what fits is taken from it, what is missing is built and added."""
+    """Loads guidance from this folder where it fits, and adds what had to be built."""
     seed: int | None = None
-    """Seed of the random order for --scene and of --finetune; default 0."""
+    """Sets the seed of the random order for --scene and of --finetune; 0 by default."""
     shield: bool = True
-    """Bend commands of policy and guidance that leave no way to stop without touching anything.
-    A run learned without flies without; mpc and reference always do."""
+    """Bends commands of policy and guidance that leave no way to stop without touching anything.
+    Runs learned without the shield, mpc and reference always fly without it."""
     overwrite: bool = False
-    """Start anew in a folder that is not empty."""
+    """Starts anew in a folder that is not empty."""
     video: bool = True
-    """Render mission.mp4."""
+    """Renders mission.mp4."""
     plots: bool = True
-    """Draw the plots."""
+    """Draws the plots."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program; the exit code of the contract."""
+    """Runs the program and returns its exit code."""
     return run_program("train.fly", Args, fly_mission, argv)
 
 
 def fly_mission(args: Args) -> int:
-    """Fly, judge, draw. Raises only before anything is written."""
+    """Flies, verifies and draws a mission; returns the exit code.
+
+    Raises:
+        RunError, SceneError, TourError, GuidanceError: the arguments are wrong; nothing is written.
+    """
     if args.run is None and args.scene is None:
         raise RunError("give --scene FILE to fly it at once, or --run DIR of a finished mission")
     check_least(args, finetune=0, **({} if args.seed is None else {"seed": 0}))
@@ -93,19 +100,21 @@ def fly_mission(args: Args) -> int:
         args = replace(args, policy=SHIPPED)
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     shield = args.shield and args.planner in ("policy", "guidance")
-    trained: Sequence[dict[str, Any] | None]
+    training_results: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
         segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
-        taught = args.planner == "policy"  # the others owe nothing to the training
-        trained = [own.read_json("segment.json") if taught else None for own in segments]
-        learned = (RunFolder(args.run).read_json("config.json") or {}).get("learn", {})
-        shield = shield and (not taught or learned.get("shield", False))
+        by_policy = args.planner == "policy"  # Other pilots do not depend on the training.
+        training_results = [
+            own.read_json("segment.json") if by_policy else None for own in segments
+        ]
+        learn = (RunFolder(args.run).read_json("config.json") or {}).get("learn", {})
+        shield = shield and (not by_policy or learn.get("shield", False))
     else:
         scene, seed = Scene.find(args.scene or ""), args.seed or 0
         order = plan_order(scene, args.order or "lkh", seed=seed)
         method = order_label(args.order or "lkh")
-        trained = [None] * (len(order) + 1)
+        training_results = [None] * (len(order) + 1)
     name = scene.slug if args.run is None else args.run.resolve().name
     folder = RunFolder(args.out or default_folder("fly", name, args.planner, f"seed{seed}"))
     config = {
@@ -136,7 +145,7 @@ def fly_mission(args: Args) -> int:
         except Stopped:
             say("stopped; start again with --overwrite")
             return INTERRUPTED
-        flight, trained, notes = repaired.flight, repaired.trained, repaired.notes
+        flight, training_results, notes = repaired.flight, repaired.trained, repaired.notes
         args = replace(args, planner=repaired.planner)
         for note in notes:
             say(note)
@@ -158,17 +167,17 @@ def fly_mission(args: Args) -> int:
     else:
         folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course, shield=shield)
-    return _finish(folder, course, order, method, flight, trained, seed, args, notes)
+    return _finish(folder, course, order, method, flight, training_results, seed, args, notes)
 
 
 def _train(
     args: Args, course: Course, order: tuple[int, ...], folder: RunFolder, seed: int, shield: bool,
     index: int,
 ) -> tuple[TrainedPolicy, dict[str, Any]]:  # fmt: skip
-    """Go on learning from `--policy` in one segment; the policy and segment.json.
+    """Goes on learning from `--policy` in one segment; returns the policy and segment.json.
 
     Raises:
-        Stopped: by Ctrl-C.
+        Stopped: Ctrl-C ended the training.
     """
     assert args.policy is not None
     own = RunFolder(folder.path / "segments" / str(index))
@@ -193,10 +202,10 @@ def _train(
 
 
 def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
-    """Scene, order, its method and the seed of the run.
+    """Returns the run's scene, order, method of ordering, and seed.
 
     Raises:
-        RunError: it is not a finished mission, or does not match the scene.
+        RunError: the run is not a finished mission, or does not match the other arguments.
     """
     assert args.run is not None
     run = RunFolder(args.run)
@@ -228,7 +237,7 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
 
 
 def scene_difference(one: Scene, two: Scene) -> str | None:
-    """The first field in which two scenes differ, with both values."""
+    """Returns the first field in which two scenes differ with both values, or None."""
     first, second = one.to_dict(), two.to_dict()
     for field, value in first.items():
         if value == second[field]:
@@ -244,7 +253,7 @@ def scene_difference(one: Scene, two: Scene) -> str | None:
 
 
 def _planned(course: Course) -> tuple[Reference, float]:
-    """The reference, its planning done, and the seconds that took.
+    """Returns the reference planner with its plan made, and the time it took (s).
 
     Raises:
         RunError: it finds no flight.
@@ -269,31 +278,31 @@ def _finish(
     order: tuple[int, ...],
     method: str,
     flight: Flight,
-    trained: Sequence[dict[str, Any] | None],
+    training_results: Sequence[dict[str, Any] | None],
     seed: int,
     args: Args,
     notes: Sequence[str],
 ) -> int:
-    """Judge, write everything, print the result; 0 if it is a success."""
-    result = mission_result(course, order, method, flight, trained, seed)
+    """Verifies the flight, writes everything, prints the result; returns 0 for success, else 1."""
+    result = mission_result(course, order, method, flight, training_results, seed)
     result["planner"] = args.planner
     write_flight(folder, course, order, flight, plots=args.plots)
     if args.plots:
-        write_learning(folder, len(trained))
+        write_learning(folder, len(training_results))
     folder.write_json("mission.json", result)
     folder.unlock()
 
     def write_report() -> None:
         folder.write_text("report.md", report(folder, course.scene, result, args.plots, notes))
 
-    write_report()  # before the video, which takes long and may be stopped
+    write_report()  # This comes before the video, which takes long and may be stopped.
     if args.video:
         from mjcollect.render.video import render_in_child
 
         reason = render_in_child(folder.path)
         if reason:
             say(f"no video: {reason}")
-        write_report()  # with a link to it
+        write_report()  # Now it links to the video.
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

@@ -1,11 +1,11 @@
-"""Learn one policy for scenes it has never seen: many segments at once.
+"""Learns one policy for scenes it has never seen, in many segments at once.
 
 python -m train.generalist --out DIR
 
-The same DDPG as a segment's. Every simulation has obstacles of its own; every `--rotate` updates
-other segments of the pool are flown. Evaluated on segments that are never trained on. With more
-cores, `--shards` simulate beside each other, here or with `--ray` on a cluster; with a GPU,
-`--device cuda` learns there.
+It uses the same DDPG as `train.segment`. The segments lie in generated scenes; every `--rotate`
+updates other segments of the pool are flown, and policies are evaluated on segments that are never
+trained on. With more cores, `--shards` processes simulate side by side, here or with `--ray` on a
+cluster; with a GPU, `--device cuda` learns there.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ from train.support.command_line import INTERRUPTED, progress_bar, run_program, s
 from train.support.run_folder import RunError, RunFolder, default_folder, versions
 from train.support.training_loop import learn_to_the_end
 
-HELD_OUT = 1_000_000  # number of the first segment that is never trained on
-FAILURE_SECONDS = 30.0  # that 1% fewer arrivals may save 0.3 s of the others' time, not more
+HELD_OUT = 1_000_000  # Segments are never trained on from this number on.
+# A start without arrival counts as this time (s): 1% more arrivals are worth 0.3 s of mean time.
+FAILURE_SECONDS = 30.0
 LEARN = LearnConfig(
     updates=120_000, least_updates=120_000, patience=120_000, extra_updates=0, envs=128, width=192,
     buffer=1_000_000, actor_delay=2_000, noise_min=0.02, noise_max=0.3, demonstrations=50_000,
@@ -49,52 +50,53 @@ DISTURBANCE = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, 
 
 @dataclass(frozen=True)
 class Args:
-    """Learn one policy for scenes it has never seen."""
+    """Learns one policy for scenes it has never seen."""
 
     out: Path | None = None
-    """Run folder; default: runs/generalist/seed<N>."""
+    """Writes the run to this folder; by default runs/generalist/seed<N>."""
     seed: int = 0
-    """Seed of every random stream, the scenes included."""
+    """Sets the seed of every random stream, the scenes included."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where the networks live; simulation stays on the CPU."""
+    """Puts the networks on this device; simulation stays on the CPU."""
     workers: int = 2
-    """Processes that build the segments' guidance."""
+    """Sets the number of processes that build the segments' guidance."""
     segments: int = 240
-    """Segments trained on, each of a generated scene of its own."""
+    """Sets the number of segments trained on, each in a generated scene of its own."""
     held_out: int = 60
-    """Segments of further scenes that policies are compared on."""
+    """Sets the number of segments, in further scenes, on which policies are compared."""
     shards: int = 0
-    """Processes that simulate, in lock-step with the learner; 0: the learner's own."""
+    """Sets the number of processes that simulate, in lock-step with the learner; with 0 the learner
+    simulates itself."""
     ray: str | None = None
-    """Address of a Ray cluster on which the shards run instead: host:port, auto, or local."""
+    """Runs the shards on a Ray cluster at this address instead: host:port, auto, or local."""
     courses: int = 64
-    """Segments flown side by side, each in several simulations."""
+    """Sets the number of segments flown side by side, each in several simulations."""
     rotate: int = 2_000
-    """Updates after which other segments are flown."""
+    """Changes the segments that are flown every this many updates."""
     disturbed: float = 0.0
-    """Share of the simulations that are disturbed, up to `disturbance`; above 0 needs the
-    observation `robust`, and evaluation is disturbed too."""
+    """Disturbs this share of the simulations, and the evaluation if it is above 0; that needs the
+    observation robust."""
     disturbance: Annotated[Disturbance, tyro.conf.arg(name="")] = DISTURBANCE
-    """Greatest disturbances."""
+    """Sets the greatest disturbances."""
     resume: bool = False
-    """Go on with the run in the folder."""
+    """Goes on with the run in the folder."""
     overwrite: bool = False
-    """Start anew in a folder that is not empty."""
+    """Starts anew in a folder that is not empty."""
     checkpoint_every: int = 10_000
-    """Updates between checkpoints."""
+    """Writes a checkpoint every this many updates."""
     learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = LEARN
-    """Settings of the learner."""
+    """Sets the learner."""
 
 
 class Generalist:
-    """A trainer whose simulations change their segments. Its state is in `state_dict()`."""
+    """Holds a trainer whose simulations change their segments; `state_dict()` is its state."""
 
     def __init__(self, args: Args, numbers: tuple[list[int], list[int]], pool: Path) -> None:
-        """Prepare.
+        """Starts the shards, the simulations and the trainer.
 
         Args:
-            numbers: of the pool's segments to train on, and of those held out. pool: folder of
-                their guidance.
+            numbers: numbers of the pool's segments to train on, and of those held out.
+            pool: folder of their guidance.
         """
         self.args, self._pool = args, pool
         self._numbers, held_out = numbers
@@ -104,7 +106,7 @@ class Generalist:
         config, seed = args.learn, args.seed
         courses = [draw_segment(seed, number).course(pool) for number in held_out]
         disturbances = None
-        if args.disturbed > 0.0:  # calm from the point itself, disturbed from elsewhere in its ball
+        if args.disturbed > 0.0:  # Starts are calm at the point itself, disturbed in its ball.
             calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
             rng = np.random.default_rng(stream(seed, "evaluate disturbances"))
             disturbances = Disturbances(args.disturbance, len(calm), rng, vary=True, calm=calm)
@@ -113,7 +115,7 @@ class Generalist:
         self.trainer = Trainer(self._simulations(), evaluator, config, seed, args.device)
 
     def _simulations(self) -> Fleet:
-        """Simulations on this rotation's segments."""
+        """Returns simulations on this rotation's segments."""
         if self._crew is None:
             return simulations(self.args, self._numbers, self._pool, self.rotation)
         parts = range(self.args.shards)
@@ -124,7 +126,7 @@ class Generalist:
         return ShardedSimulations(self._crew, makes, [_envs(self.args, part) for part in parts])
 
     def rotate(self) -> None:
-        """Change the segments if it is time."""
+        """Changes the segments if `--rotate` updates have passed."""
         self._turn_to(self.trainer.learner.updates // self.args.rotate)
 
     def _turn_to(self, rotation: int) -> None:
@@ -133,55 +135,60 @@ class Generalist:
             self.trainer.move(self._simulations())
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the buffer's content and the settings."""
+        """Returns the whole state, without the buffer's content and the settings."""
         return {"rotation": self.rotation, "trainer": self.trainer.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         self._turn_to(state["rotation"])
         self.trainer.load_state_dict(state["trainer"])
 
     def close(self) -> None:
-        """Stop all processes and threads."""
+        """Stops all processes and threads."""
         self.trainer.close()
         if self._crew is not None:
             self._crew.close()
 
 
 def _envs(args: Args, part: int) -> int:
-    """Simulations of a shard."""
+    """Returns the number of simulations in a shard."""
     return len(range(part, args.learn.envs, max(args.shards, 1)))
 
 
 def simulations(
     args: Args, numbers: Sequence[int], pool: Path, rotation: int, part: int = 0
 ) -> Simulations:
-    """What is flown in a rotation, or a shard of it, each on courses of its own drawing.
+    """Returns the simulations of a rotation, or of one shard, on segments that are drawn anew.
 
     Args:
-        numbers: of the pool's segments. pool: folder of their guidance; a missing one is built.
+        numbers: numbers of the pool's segments. pool: folder of their guidance; what is missing is
+            built. rotation: number of the rotation. part: number of the shard.
     """
     shards, envs = max(args.shards, 1), _envs(args, part)
     name = f"rotation {rotation}" + (f" shard {part}" if args.shards else "")
     rng = np.random.default_rng(stream(args.seed, name))
     drawn = rng.choice(numbers, min(-(-args.courses // shards), len(numbers)), replace=False)
-    legs = [draw_segment(args.seed, int(number)).course(pool) for number in drawn]
+    segments = [draw_segment(args.seed, int(number)).course(pool) for number in drawn]
     disturbances = None
     if args.disturbed > 0.0:
         calm = rng.permutation(envs) >= round(args.disturbed * envs)
         disturbances = Disturbances(args.disturbance, envs, rng, vary=True, calm=calm)
-    courses = [legs[i % len(legs)] for i in range(envs)]
+    courses = [segments[i % len(segments)] for i in range(envs)]
     learn = dataclasses.replace(args.learn, envs=envs)
     return make_simulations(courses, learn, int(rng.integers(2**62)), disturbances)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program; the exit code of the contract."""
+    """Runs the program and returns its exit code."""
     return run_program("train.generalist", Args, train_generalist, argv)
 
 
 def train_generalist(args: Args) -> int:
-    """Build the pool, learn, save. Raises only before anything is written."""
+    """Builds the pool, learns and saves the policy; returns the exit code.
+
+    Raises:
+        RunError: the arguments cannot be run.
+    """
     _check(args)
     config = {"program": "train.generalist", **dataclasses.asdict(args)}
     for field in ("out", "resume", "overwrite", "workers", "ray", "checkpoint_every"):
@@ -213,10 +220,10 @@ def train_generalist(args: Args) -> int:
 
 
 def _check(args: Args) -> None:
-    """Refuse what would fail late.
+    """Refuses what would fail late.
 
     Raises:
-        RunError: naming field, value and fix.
+        RunError: a setting is out of range; the message names field, value and fix.
     """
     check_device(args.device)
     check_least(
@@ -243,7 +250,7 @@ def _check(args: Args) -> None:
 
 
 def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
-    """Numbers of the segments to train on and of those held out; None if Ctrl-C stopped it."""
+    """Builds the pool; returns the numbers to train on and held out, or None after Ctrl-C."""
     built: dict[str, bool] = folder.read_json("pool.json") or {}
     wanted = [*range(args.segments), *range(HELD_OUT, HELD_OUT + args.held_out)]
     missing = [number for number in wanted if str(number) not in built]
@@ -266,7 +273,7 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
 
 
 def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
-    """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
+    """Trains to the end; returns False if Ctrl-C stopped it, after a checkpoint."""
     return learn_to_the_end(
         generalist.trainer,
         folder,
@@ -282,7 +289,7 @@ def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
 
 
 def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[int]]) -> None:
-    """Save the best policy, the curves, and generalist.json last."""
+    """Saves the best policy, the curves, and last generalist.json."""
     from mjcollect.render.time_figures import plot_learning
 
     assert trainer.best is not None
@@ -309,12 +316,12 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """For JSON: the time of arrivals is no number where there are none."""
+    """Replaces NaN and infinity, which JSON cannot hold, by None."""
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 def _report(folder: RunFolder) -> int:
-    """Print the result; 0."""
+    """Prints the result; returns 0."""
     result = folder.read_json("generalist.json")
     assert result is not None
     best, law = result["held_out"], result["law"]

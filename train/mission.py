@@ -1,8 +1,8 @@
-"""Algorithm 2: order the items, learn every segment, fly them one after another, come home.
+"""Runs Algorithm 2: orders the items, learns every segment, and flies them all, back to the depot.
 
 python -m train.mission --scene FILE --out DIR --workers 2
 
-Learning goes on from the policy that is shipped; with --policy none from nothing, as in the paper.
+Learning goes on from the shipped policy, or with --policy none from nothing, as in the paper.
 """
 
 from __future__ import annotations
@@ -46,37 +46,43 @@ from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder
 from train.support.starting_policy import check_size, start_from
 
-MOST_SEGMENT_VIDEOS = 10  # items; beyond this only the whole mission is filmed
+MOST_SEGMENT_VIDEOS = 10  # With more items than this, only the whole mission is filmed.
 
 
 class TrainingError(RuntimeError):
-    """A segment's training process ended with an error."""
+    """Says that a segment's training process ended with an error."""
 
 
 @dataclass(frozen=True)
 class Args(TrainingArgs):
-    """Order the items, learn every segment, fly the whole mission, verify it, film it."""
+    """Orders the items, learns every segment, flies the mission, verifies and films the flight."""
 
     policy: Path = SHIPPED
-    """Policy to go on from: shipped, none (learn from nothing, as the paper does), or a file:
-    policy.safetensors or policy.pt."""
+    """Goes on learning from a policy: shipped, none (learn from nothing, as the paper does), or a
+    .safetensors or .pt file."""
     cost: Literal["distance", "time"] = "distance"
-    """What lkh and exact minimise: straight distance (the paper), or least time round obstacles."""
+    """Makes the orders lkh and exact minimise the straight distance (distance, as in the paper) or
+    the least time round the boxes (time)."""
     workers: int = 2
-    """Local processes that train segments side by side."""
+    """Sets the number of local processes that train segments side by side."""
     ray: str | None = None
-    """Address of a Ray cluster to train on instead: host:port, auto, or local."""
+    """Trains on a Ray cluster at this address instead: host:port, auto, or local."""
     retries: int = 2
-    """Further trainings, with other seeds, of a segment that is not flown from everywhere."""
+    """Trains a segment whose policy does not arrive from every start up to this many times more,
+    with other seeds."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program; the exit code of the contract."""
+    """Runs the program and returns its exit code."""
     return run_program("train.mission", Args, train_mission, argv, lambda: with_preset(Args, argv))
 
 
 def train_mission(args: Args) -> int:
-    """Order, learn, fly, judge, draw. Raises only before anything is written."""
+    """Orders the items, learns, flies, verifies and draws; returns the exit code.
+
+    Raises:
+        RunError, SceneError, TourError, GuidanceError: the arguments are wrong; nothing is written.
+    """
     _check(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
     args, policy = _begin_from(args)
@@ -121,15 +127,15 @@ def train_mission(args: Args) -> int:
         connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
-        course.save_guidance(guidance)  # for the segments' processes, and to resume
+        course.save_guidance(guidance)  # The segments' processes and --resume read it.
         if not _learn(args, folder, scene, order):
             say("stopped, saved; go on with --resume")
             return INTERRUPTED
         segments = [_segment_folder(folder, index) for index in range(len(order) + 1)]
         policies = [TrainedPolicy.load(segment.path / "policy.pt") for segment in segments]
         flight = fly(course, policies, args.learn.observation, shield=args.learn.shield)
-        trained = [segment.read_json("segment.json") for segment in segments]
-        result = mission_result(course, order, method, flight, trained, args.seed)
+        training_results = [segment.read_json("segment.json") for segment in segments]
+        result = mission_result(course, order, method, flight, training_results, args.seed)
         write_flight(folder, course, order, flight, plots=args.plots)
         if args.plots:
             write_learning(folder, len(segments))
@@ -156,7 +162,7 @@ def _check(args: Args) -> None:
 
 
 def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
-    """With the settings of the policy to start from, and that policy; or with none."""
+    """Returns the arguments fitted to the policy to start from, and that policy if any."""
     usual, learn = LearnConfig(), args.learn
     if args.policy == SHIPPED:
         shipped = start_from(SHIPPED, usual)[0]
@@ -177,14 +183,14 @@ def _segment_folder(folder: RunFolder, index: int) -> RunFolder:
 
 
 def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) -> bool:
-    """Train every segment that is not yet; False if Ctrl-C stopped it.
+    """Trains every segment that is not trained yet; returns False if Ctrl-C stopped it.
 
     Raises:
         TrainingError: a training ended with an error.
     """
 
     def job(index: int) -> Job | None:
-        """What is still to be trained of a segment."""
+        """Returns the next training of a segment, or None if it needs no more."""
         segment = _segment_folder(folder, index)
         if (result := segment.read_json("segment.json")) is not None and _perfect(result):
             return None
@@ -211,7 +217,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
 
     def retry(done: Done) -> Job | None:
         index = done.job.index
-        # Python ends with 1 after any error: only a result says that it was no success.
+        # Python exits with 1 after any error, so only a result file shows that training finished.
         if done.code not in (0, 1) or not (done.job.folder / "segment.json").is_file():
             raise TrainingError(f"segment {index}: exit code {done.code}: {done.message}")
         display.finished(index)
@@ -220,17 +226,12 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
     display = MissionDisplay(folder.path, scene, order, args.learn.updates)
     opened = open_workers(args.workers, ray=args.ray is not None)
     with stop_on_ctrl_c() as stopped, display, opened as workers:
-
-        def tick() -> bool:
-            display.update()
-            return stopped()
-
         jobs = [found for index in range(len(order) + 1) if (found := job(index))]
-        return run_jobs(workers, jobs, retry, tick)
+        return run_jobs(workers, jobs, retry, stopped)
 
 
 def _from_policy(policy: Path, attempt: int) -> list[str]:
-    """Arguments of a segment's training; what did not do from the policy is learned anew."""
+    """Returns a training's arguments for the policy to start from; retries start from nothing."""
     if policy == NO_POLICY or attempt > 0:
         return []
     return ["--policy", str(policy if policy == SHIPPED else policy.resolve())]
@@ -241,18 +242,18 @@ def _perfect(result: dict[str, Any]) -> bool:
 
 
 def _attempts(folder: RunFolder, index: int) -> list[Path]:
-    """Trainings of a segment that were set aside, in attempts/<segment>-<number>/."""
+    """Returns a segment's trainings that were set aside, in attempts/<segment>-<number>/."""
     return sorted((folder.path / "attempts").glob(f"{index}-*"))
 
 
 def _set_aside(folder: RunFolder, index: int, number: int) -> None:
-    """Make room for a training with another seed; one rename, so a stop leaves no half of it."""
+    """Moves a training away to repeat it with another seed, atomically by one rename."""
     (folder.path / "attempts").mkdir(exist_ok=True)
     os.rename(_segment_folder(folder, index).path, folder.path / "attempts" / f"{index}-{number}")
 
 
 def _keep_best(folder: RunFolder, index: int) -> None:
-    """Put the best of all trainings of a segment in its place; none was perfect."""
+    """Puts the best of all trainings of a segment in its place, where none was perfect."""
 
     def rank(path: Path) -> tuple[bool, float, float]:
         result = RunFolder(path).read_json("segment.json") or {}
@@ -261,7 +262,7 @@ def _keep_best(folder: RunFolder, index: int) -> None:
 
     segment = _segment_folder(folder, index).path
     tried = _attempts(folder, index)
-    # The segment's own first: it stays where others are no better, so doing this again is safe.
+    # The segment's own comes first and stays unless others are better, so a repetition is harmless.
     best = max([segment, *tried] if segment.exists() else tried, key=rank)
     if best != segment:
         if segment.exists():
@@ -270,7 +271,7 @@ def _keep_best(folder: RunFolder, index: int) -> None:
 
 
 def _notes(folder: RunFolder, segments: int) -> list[str]:
-    """What the report says of segments that were trained more than once."""
+    """Returns the report's sentences on segments that were trained more than once."""
     notes = []
     for index in range(segments):
         if tried := _attempts(folder, index):
@@ -283,7 +284,7 @@ def _notes(folder: RunFolder, segments: int) -> list[str]:
 
 
 def _film(folder: RunFolder, items: int) -> None:
-    """Render what videos are missing: of the mission, and of segments stopped before theirs."""
+    """Renders the missing videos: the mission's, and those of segments stopped before theirs."""
     from mjcollect.render.video import render_in_child
 
     wanted = [(folder.path, "mission.mp4")]
@@ -297,7 +298,7 @@ def _film(folder: RunFolder, items: int) -> None:
 
 
 def _finish(folder: RunFolder, args: Args) -> int:
-    """Render what is missing, write the report, print the result; 0 if it is a success."""
+    """Renders missing videos, writes the report, prints the result; returns 0 for success."""
     result = folder.read_json("mission.json")
     assert result is not None
     notes = _notes(folder, len(result["segments"]))
@@ -306,10 +307,10 @@ def _finish(folder: RunFolder, args: Args) -> int:
     def write_report() -> None:
         folder.write_text("report.md", report(folder, scene, result, args.plots, notes))
 
-    write_report()  # before the videos, which take long and may be stopped
+    write_report()  # This comes before the videos, which take long and may be stopped.
     if args.video:
         _film(folder, len(result["order"]))
-        write_report()  # with links to them
+        write_report()  # Now it links to the videos.
     print(outcome(result, folder.path))
     return 0 if result["success"] else 1
 

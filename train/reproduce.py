@@ -3,8 +3,8 @@
     python -m train.reproduce --quick --out DIR
     python -m train.reproduce --out DIR --workers 8 --resume
 
-It flies every cell (scene, visiting order, planner, training seed) that the folder does not hold yet,
-each as a `train.mission` or `train.fly` of its own, then writes results.json, the figures and
+It flies every cell (scene, visiting order, planner, training seed) that the folder does not hold
+yet, each as a `train.mission` or `train.fly` of its own, then writes results.json, the figures and
 reproduction.md. What became of the paper's claims is written by hand: docs/reproduction.md.
 """
 

@@ -1,4 +1,4 @@
-"""Learn to fly one segment of a tour, fly it, verify it, and leave pictures of it.
+"""Learns to fly one segment of a tour, flies it, verifies the flight, and draws it.
 
 python -m train.segment --scene FILE --segment I --out DIR
 """
@@ -19,7 +19,7 @@ from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest
 from mjcollect.learning.trainer import Trainer, segment_trainer
 from mjcollect.planners.mpc import fly_mpc
 from mjcollect.scene.bounds import detour_bound, segment_bound
-from mjcollect.scene.order import first_blocked, legs, node_name, plan_order
+from mjcollect.scene.order import first_blocked, node_name, plan_order, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
 from train.support.arguments import TrainingArgs, check_device, check_least
@@ -33,21 +33,26 @@ from train.support.training_loop import learn_to_the_end
 
 @dataclass(frozen=True)
 class Args(TrainingArgs):
-    """Learn to fly one segment of a tour with DDPG, fly it, verify it, film it."""
+    """Learns to fly one segment of a tour with DDPG, flies it, verifies the flight and films it."""
 
     segment: int | None = None
-    """Segment of the tour, 0 (leaves the depot) to K (returns); default: the first blocked one."""
+    """Selects the segment of the tour, from 0 (leaves the depot) to K (returns to it); by default
+    the first whose straight line a box blocks."""
     guidance_cache: Path | None = None
-    """Folder in which a mission has saved its guidance, which else takes seconds to build."""
+    """Names the folder in which a mission saved its guidance, which else takes seconds to build."""
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run the program; the exit code of the contract."""
+    """Runs the program and returns its exit code."""
     return run_program("train.segment", Args, train_segment, argv, lambda: with_preset(Args, argv))
 
 
 def train_segment(args: Args) -> int:
-    """Learn, fly, verify, draw. Raises only before anything is written."""
+    """Learns, flies, verifies and draws a segment; returns the exit code.
+
+    Raises:
+        RunError, SceneError, TourError, GuidanceError: the arguments are wrong; nothing is written.
+    """
     check_device(args.device)
     check_least(args, seed=0, checkpoint_every=1)
     policy = None
@@ -106,7 +111,7 @@ def _run(
 
 
 def _learn(trainer: Trainer, course: Course, folder: RunFolder, args: Args) -> bool:
-    """Train to the end; False if Ctrl-C stopped it, after a checkpoint."""
+    """Trains to the end; returns False if Ctrl-C stopped it, after a checkpoint."""
     goal = segment_bound(course.scene, *course.nodes)
     return learn_to_the_end(
         trainer,
@@ -130,8 +135,8 @@ def _finish(
     trainer: Trainer, course: Course, folder: RunFolder, order: tuple[int, ...], index: int,
     plots: bool,
 ) -> None:  # fmt: skip
-    """Fly the best policy, judge it, and write every file but the video; segment.json last."""
-    scene, (frm, to) = course.scene, legs(order)[index]
+    """Flies and judges the best policy; writes every file but the video, segment.json last."""
+    scene, (start_node, end_node) = course.scene, tour_segments(order)[index]
     if trainer.best_policy is not None:
         trainer.learner.actor.load_state_dict(trainer.best_policy)
     policy = trainer.policy
@@ -139,8 +144,8 @@ def _finish(
     violations = verify(scene, flight.trajectory, order, segment=index)
     success = flight.success and not violations
     seconds = flight.trajectory.duration if success else None
-    bound = segment_bound(scene, frm, to)
-    detour = detour_bound(scene, frm, to, course.guidance[0].length)
+    bound = segment_bound(scene, start_node, end_node)
+    detour = detour_bound(scene, start_node, end_node, course.guidance[0].length)
     law = trainer.evaluator.law()
     rivals = {
         "law_time": _number(law.point_time),
@@ -167,8 +172,8 @@ def _finish(
             "scene": scene.name,
             "segment": index,
             "order": list(order),
-            "from": frm,
-            "to": to,
+            "from": start_node,
+            "to": end_node,
             "time": seconds,
             "lower_bound": bound,
             "ratio": seconds / bound if seconds is not None and bound > 0 else None,
@@ -189,24 +194,24 @@ def _finish(
             "versions": versions(),
         },
     )
-    # A finished run needs no replay buffer, by far the largest part of a checkpoint.
+    # A finished run needs no replay buffer, which is by far the largest part of a checkpoint.
     folder.save_checkpoint(trainer=trainer)
 
 
 def _mpc_time(course: Course, order: tuple[int, ...], index: int) -> float | None:
-    """Seconds that the MPC needs from the segment's own start point; None if it fails."""
+    """Returns the MPC's time (s) from the segment's own start point, or None if it fails."""
     flight, _ = fly_mpc(course)
     fails = not flight.success or verify(course.scene, flight.trajectory, order, segment=index)
     return None if fails else flight.trajectory.duration
 
 
 def _number(value: float) -> float | None:
-    """For JSON: None for NaN."""
+    """Returns None for NaN and infinity, which JSON cannot hold."""
     return value if math.isfinite(value) else None
 
 
 def _report(folder: RunFolder, video: bool) -> int:
-    """Render what is missing, print the result; 0 if it is a success."""
+    """Renders a missing video and prints the result; returns 0 for success, else 1."""
     result = folder.read_json("segment.json")
     assert result is not None
     if video and not (folder.path / "segment.mp4").is_file():
@@ -229,7 +234,7 @@ def _report(folder: RunFolder, video: bool) -> int:
 
 
 def _legend(order: Sequence[int], index: int) -> str:
-    return " -> ".join(node_name(node) for node in legs(order)[index])
+    return " -> ".join(node_name(node) for node in tour_segments(order)[index])
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python -m train.warm_up
 
-Else it happens at the first use, once for each version of the code. `scripts/setup` runs this.
+Otherwise that happens at the first use, once for each version of the code. `scripts/setup` runs it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mjcollect.scene.scene import Scene
 
 
 def main() -> None:
-    """Fly a small scene, and one backward pass."""
+    """Flies a small scene and computes one backward pass."""
     fly_small()
     d, h, z = (torch.ones(2, 4) for _ in range(3))
     mean, rstd, scale = torch.zeros(2, 1), torch.ones(2, 1), torch.ones(4)
@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def fly_small() -> None:
-    """Fly a small scene."""
+    """Flies one slot of a small scene."""
     scene = Scene(
         name="warm-up",
         seed=0,

@@ -1,4 +1,4 @@
-"""What an agent sees and is paid: courses, episodes, the dm-control and the batched environment.
+"""Holds what an agent sees and is paid: courses, episodes, and the two environments.
 
-Importing the package imports nothing: builders of guidance must not load torch.
+Importing the package imports nothing, because processes that build guidance must not load torch.
 """

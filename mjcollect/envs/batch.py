@@ -1,8 +1,8 @@
-"""Many simulations at once: N MuJoCo simulations behind one TorchRL environment.
+"""Runs N MuJoCo simulations at once, also as one TorchRL environment.
 
-`mujoco.rollout` steps them on its own threads, each with a scene of its own if wanted, and
-returns every physics step, so a contact inside a slot is not lost. `episode.Episodes` gives the
-rules, the same as the single dm-control environment's.
+`mujoco.rollout` steps them on its own threads, each in a scene of its own if wanted, and returns
+every physics step, so that a contact inside a slot is not lost. `episode.Episodes` gives the rules,
+the same as in the single dm-control environment.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FLAGS = ("done", "terminated", "truncated", "success", "crashed", "shielded")
 
 
 class Fleet(Protocol):
-    """N simulations, see `Simulations`, wherever they are."""
+    """Lists what N simulations can do, in this process or in others; `Simulations` explains it."""
 
     count: int
 
@@ -47,7 +47,7 @@ class Fleet(Protocol):
 
 
 class Simulations:
-    """N flights in plain NumPy: reset, step, observe."""
+    """Runs N flights in this process, on NumPy arrays: reset, step, observe."""
 
     def __init__(
         self,
@@ -60,12 +60,12 @@ class Simulations:
         threads: int = 2,
         disturbances: Disturbances | None = None,
     ) -> None:
-        """Compile one model per distinct scene and prepare the threads.
+        """Compiles one model per distinct scene and prepares the threads.
 
         Args:
-            courses: one for all, or one per simulation. count: N. rules: observation and reward.
-            start: kind of start states; rng draws them. threads: of MuJoCo. disturbances: of these
-                simulations, if there are any.
+            courses: one course for all simulations, or one each. count: N.
+            rules: observation, reward and shield. start: kind of start states; rng: draws them.
+            threads: number of MuJoCo's threads. disturbances: those of these simulations, if any.
         """
         rules = rules or Rules()
         self.count, self.start = count, start
@@ -76,9 +76,9 @@ class Simulations:
         models = {key: _compiled(scene, solid) for key, scene in scenes.items()}
         each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
         self._models = each
-        room = each[0] if len(models) == 1 else _largest(list(scenes.values()))
-        self._data = [mujoco.MjData(room) for _ in range(threads)]
-        # With one thread mujoco steps in the caller; threads=0 in its own terms.
+        largest = each[0] if len(models) == 1 else _largest(list(scenes.values()))
+        self._data = [mujoco.MjData(largest) for _ in range(threads)]
+        # MuJoCo's nthread=0 steps in the calling thread.
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._n = self.episodes.world.substeps
         self.state = np.zeros((count, mujoco.mj_stateSize(each[0], STATE)))
@@ -87,11 +87,11 @@ class Simulations:
         self._sensors = np.empty((count, self._n, each[0].nsensordata))
 
     def close(self) -> None:
-        """Stop the threads."""
+        """Stops the threads."""
         self._rollout.close()
 
     def reset(self, chosen: Indices | None = None) -> None:
-        """Draw new starts for the simulations `chosen` (indices; None for all)."""
+        """Draws new starts for the simulations with indices `chosen` (n,), or for all."""
         which = np.arange(self.count) if chosen is None else chosen
         if len(which) == 0:
             return
@@ -105,13 +105,13 @@ class Simulations:
         self.place(which, q, v)
 
     def place(self, which: Indices, q: Array, v: Array) -> None:
-        """Begin episodes at q, v (n, 3) in the simulations `which` (n,)."""
+        """Begins episodes at q, v (n, 3) in m and m/s in the simulations `which` (n,)."""
         self.state[which] = 0.0
         self.state[which, 1:4], self.state[which, 4:7] = q, v
         self.episodes.reset(which, q, v)
 
     def step(self, action: Array) -> Outcome:
-        """Fly one slot with raw actions (N, 3)."""
+        """Flies one slot with raw actions (N, 3) in units of a_max, and returns its outcome."""
         self.acceleration = self.episodes.begin_slot(action)
         disturbances, flown = self.episodes.disturbances, self.acceleration
         if disturbances is not None:
@@ -120,15 +120,15 @@ class Simulations:
         return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
 
     def law(self) -> Array:
-        """Actions (N, 3) of the guidance law."""
+        """Returns the actions (N, 3) of the guidance law in units of a_max."""
         return self.episodes.guidance_action()
 
     def seed(self, seed: int | None) -> None:
-        """Draw the next starts from this seed."""
+        """Draws all later starts from this seed."""
         self.rng = np.random.default_rng(seed)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but courses and settings."""
+        """Returns the whole state, without courses and settings."""
         episodes = self.episodes
         disturbances = episodes.disturbances
         return {
@@ -139,7 +139,7 @@ class Simulations:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         self.rng.bit_generator.state = state["rng"]
         self.state = state["simulations"].numpy().copy()
         if self.episodes.disturbances is not None:
@@ -147,10 +147,10 @@ class Simulations:
         self.episodes.load({name: v.numpy().copy() for name, v in state["episodes"].items()})
 
     def roll(self, acceleration: Array) -> None:
-        """Let MuJoCo fly one slot with accelerations in m/s^2; no rules of flight.
+        """Lets MuJoCo fly one slot, without the rules of flight.
 
         Args:
-            acceleration: (N, 3) held for the slot, or (N, n, 3) for its physics steps.
+            acceleration: (N, 3) in m/s^2, held for the slot, or (N, n, 3), one per physics step.
         """
         self._control[:] = acceleration if acceleration.ndim == 3 else acceleration[:, None]
         self._rollout.rollout(
@@ -167,30 +167,30 @@ class Simulations:
 
     @property
     def path(self) -> Array:
-        """Positions (N, n, 3) of the last slot's physics steps."""
+        """Returns the positions (N, n, 3) in m after the last slot's physics steps."""
         return self._states[:, :, 1:4]
 
     @property
     def speeds(self) -> Array:
-        """Velocities (N, n, 3) of the last slot's physics steps."""
+        """Returns the velocities (N, n, 3) in m/s after the last slot's physics steps."""
         return self._states[:, :, 4:7]
 
     def observe(self, chosen: Indices | None = None) -> Array:
-        """Flat observation (N, D), the parts of `Episodes.observe` in their order.
+        """Returns the flat observation (N, D): the parts of `Episodes.observe` in their order.
 
-        With `chosen` (n,) only those simulations' rows, (n, D).
+        If `chosen` (n,) is given, only the rows of these simulations are computed, (n, D).
         """
         return np.concatenate(list(self.episodes.observe(chosen).values()), axis=-1)
 
 
 @lru_cache(maxsize=4)
 def _compiled(scene: Scene, solid: bool) -> mujoco.MjModel:
-    """The scene's model, which nobody changes: training and evaluation share it."""
+    """Returns the scene's model, which training and evaluation share: do not change it."""
     return compile_model(scene, solid=solid)
 
 
 def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
-    """A model whose MjData has room for every scene's: `Rollout` writes past a smaller one."""
+    """Returns a model whose MjData can hold any scene's: `Rollout` writes past a smaller one."""
     root = build(max(scenes, key=lambda scene: len(scene.obstacles)))
     for index in range(max(len(scene.items) for scene in scenes)):
         root.worldbody.add("site", name=f"room_{index}")
@@ -198,14 +198,14 @@ def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
 
 
 class BatchedFlightEnv(EnvBase):
-    """TorchRL environment of batch size N over `Simulations`.
+    """Wraps N simulations as a TorchRL environment of batch size N.
 
-    Observation float32 (N, D); action float32 (N, 3) in [-1, 1]. `success`, `crashed` and
-    `shielded` (the shield changed the command) come along with each step, Boolean (N, 1).
+    The observation is float32 (N, D), the action float32 (N, 3) in [-1, 1]. Each step also returns
+    `success`, `crashed` and `shielded` (the shield changed the command), Boolean (N, 1).
     """
 
     def __init__(self, simulations: Fleet, device: str = "cpu") -> None:
-        """Wrap `simulations`."""
+        """Wraps `simulations`; tensors are returned on `device`."""
         n = simulations.count
         super().__init__(device=device, batch_size=torch.Size([n]))
         self.simulations = simulations
@@ -233,8 +233,8 @@ class BatchedFlightEnv(EnvBase):
         return torch.from_numpy(values[:, None].copy()).to(self.device)
 
     def _observe(self, chosen: Indices | None = None) -> torch.Tensor:
-        seen = self.simulations.observe(chosen).astype(np.float32)
-        return torch.from_numpy(seen).to(self.device)
+        observed = self.simulations.observe(chosen).astype(np.float32)
+        return torch.from_numpy(observed).to(self.device)
 
     def _dict(self, **more: torch.Tensor) -> TensorDict:
         parts = {"observation": self._observe(), **more}
@@ -249,9 +249,9 @@ class BatchedFlightEnv(EnvBase):
         return self._dict(**{flag: self._flag(no) for flag in FLAGS})
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Begin anew where an episode has ended.
+        """Begins anew where an episode has ended.
 
-        Does what `EnvBase` does through `_reset`, without computing the rows that it then drops.
+        It does what `EnvBase` does through `_reset`, without computing rows that are then dropped.
         """
         chosen = np.flatnonzero(tensordict["done"].cpu().numpy())
         if len(chosen):
@@ -280,7 +280,7 @@ class BatchedFlightEnv(EnvBase):
         self.simulations.seed(seed)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Stop MuJoCo's threads."""
+        """Stops MuJoCo's threads."""
         if not self.is_closed:
             self.simulations.close()
         super().close(raise_if_closed=raise_if_closed)

@@ -1,4 +1,4 @@
-"""A course: the nodes of one scene to be visited in turn. A segment has two, a mission K + 2."""
+"""Defines a course: nodes of one scene to visit in turn, 2 for a segment, K + 2 for a mission."""
 
 from __future__ import annotations
 
@@ -16,32 +16,33 @@ from mjcollect.guidance import cache
 from mjcollect.guidance.aim import place
 from mjcollect.guidance.guidance import Guidance
 from mjcollect.scene.bounds import detour_bound
-from mjcollect.scene.order import legs
+from mjcollect.scene.order import tour_segments
 from mjcollect.scene.scene import Scene
 
 StartKind = Literal["point", "ball", "spread"]
 START_KINDS: tuple[StartKind, ...] = ("point", "ball", "spread")
-MIN_SLOTS = 100  # step limit P: at least this, and LIMIT_FACTOR times the guidance path's time
-LIMIT_FACTOR = 3.0
-STREWN, UNDER_WAY = 0.3, 0.4  # shares of the `spread` starts; the rest lie in the ball
-SPREAD_SPEED = 15.0  # m/s, the fastest `spread` start
-SPREAD_SLACK = 40.0  # metres added to the path length for the ellipsoid of `spread` starts
-LAST_PART = 1.3  # stops from v_max: how far from the goal half of the starts under way are
-SPEEDS = (0.6, 1.02)  # of what can still be stopped in time: starts under way
+MIN_SLOTS = 100  # The step limit P (slots) is at least this.
+LIMIT_FACTOR = 3.0  # P is also at least this many times the time that the guidance paths take.
+# These shares of `spread` starts lie in an ellipsoid and under way; the rest lie in the ball.
+STREWN, UNDER_WAY = 0.3, 0.4
+SPREAD_SPEED = 15.0  # `spread` starts in the ellipsoid are at most this fast (m/s).
+SPREAD_MARGIN_M = 40.0  # The ellipsoid's long axis exceeds the path's length by this margin (m).
+LAST_PART = 1.3  # Half of the starts under way lie within this many stops from v_max of the goal.
+SPEEDS = (0.6, 1.02)  # Starts under way have this share of the speed that can just be stopped.
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Where to go, with a guidance field for each target.
+    """Says where to go, with the guidance to each target.
 
     Attributes:
-        scene: the scene.
-        nodes: start node, then the targets in turn; item index, or -1 for the depot.
-        before: items collected before the course begins.
-        next_node: the node that the tour goes on to afterwards, if it does.
-        folder: where `save_guidance` of the same course has put files, if it has.
-        guidance: one per target, from the node before.
-        step_limit: slots after which an episode is cut off (P).
+        scene: scene of all nodes.
+        nodes: start node, then the targets in turn; an item's index, or -1 for the depot.
+        before: indices of the items collected before the course begins.
+        next_node: node to which the tour goes on after the course, if it does.
+        folder: folder in which `save_guidance` of the same course has put files, if any.
+        guidance: guidance to each target, with its path from the node before.
+        step_limit: number of slots after which an episode is cut off, P in the paper.
     """
 
     scene: Scene
@@ -53,37 +54,37 @@ class Course:
     step_limit: int = field(init=False)
 
     def __post_init__(self) -> None:
-        """Build the guidance fields.
+        """Builds or loads the guidance to each target, and sets the step limit.
 
         Raises:
             GuidanceError: a target cannot be reached.
         """
-        ways = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
+        ends = list(zip(self.nodes[:-1], self.nodes[1:], strict=True))
         nexts = [*self.nodes[2:], self.next_node]
-        fields = [
-            self._guidance(frm, to, after) for (frm, to), after in zip(ways, nexts, strict=True)
+        guides = [
+            self._guidance(*nodes, next_node) for nodes, next_node in zip(ends, nexts, strict=True)
         ]
         time = sum(
-            detour_bound(self.scene, frm, to, field.length)
-            for (frm, to), field in zip(ways, fields, strict=True)
+            detour_bound(self.scene, *nodes, guide.length)
+            for nodes, guide in zip(ends, guides, strict=True)
         )
-        object.__setattr__(self, "guidance", tuple(fields))
+        object.__setattr__(self, "guidance", tuple(guides))
         limit = max(MIN_SLOTS, int(np.ceil(LIMIT_FACTOR * time / self.scene.slot)))
         object.__setattr__(self, "step_limit", limit)
 
-    def _guidance(self, frm: int, to: int, after: int | None) -> Guidance:
-        next_goal = None if after is None else self.scene.point(after)
-        leg = self.scene, to, place(self.scene, frm), next_goal
-        saved = None if self.folder is None else cache.load(self.folder, *leg)
+    def _guidance(self, start_node: int, target: int, next_node: int | None) -> Guidance:
+        next_goal = None if next_node is None else self.scene.point(next_node)
+        segment = self.scene, target, place(self.scene, start_node), next_goal
+        saved = None if self.folder is None else cache.load(self.folder, *segment)
         if saved is not None:
             return saved
-        return Guidance(*leg)
+        return Guidance(*segment)
 
     def save_guidance(self, folder: Path) -> None:
-        """Write the guidance into files in `folder`, for a course of the same legs to load.
+        """Writes the guidance into files in `folder`, for a course of the same segments to load.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: a file cannot be written.
         """
         for guide in self.guidance:
             cache.save(guide, folder)
@@ -92,7 +93,11 @@ class Course:
     def segment(
         cls, scene: Scene, order: tuple[int, ...], index: int, folder: Path | None = None
     ) -> Course:
-        """Segment `index` of a tour, 0..K; `folder` as above.
+        """Returns the course of segment `index`, 0 to K, of a tour of K items.
+
+        Args:
+            scene: scene of the tour. order: (K,) indices of the items in the order of visit.
+            folder: folder from which to load saved guidance, if any.
 
         Raises:
             ValueError: there is no such segment.
@@ -102,25 +107,24 @@ class Course:
                 f"segment: {index}: must be 0 to {len(order)}: a tour of {len(order)} items has "
                 f"{len(order) + 1} segments"
             )
-        all_legs = legs(order)
-        next_node = all_legs[index + 1][1] if index + 1 < len(all_legs) else None
-        return cls(scene, all_legs[index], tuple(order[:index]), next_node, folder)
+        segments = tour_segments(order)
+        next_node = segments[index + 1][1] if index + 1 < len(segments) else None
+        return cls(scene, segments[index], tuple(order[:index]), next_node, folder)
 
     @classmethod
     def mission(cls, scene: Scene, order: tuple[int, ...], folder: Path | None = None) -> Course:
-        """The whole tour from depot to depot; `folder` as above."""
+        """Returns the course of a whole tour from depot to depot, with arguments as `segment`."""
         return cls(scene, (-1, *order, -1), folder=folder)
 
     def starts(self, kind: StartKind, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Start positions and velocities, each (count, 3), in bounds and clear of boxes.
+        """Draws start positions (m) and velocities (m/s), each (count, 3), clear of everything.
 
         Args:
-            kind: `point`: at rest exactly at the start node, or as near as a body can be. `ball`:
-                at rest anywhere within the node's tolerance, where the segment before can have
-                stopped. `spread`, for training: some in the ball, some in an ellipsoid around the
-                way, moving at up to 15 m/s, and some under way, about as fast as can still be
-                stopped in time, many of them near the goal: each flight brakes once, and there
-                tenths of seconds are lost.
+            kind: `point` starts at rest exactly at the start node, or as near as a body can be.
+                `ball` starts at rest anywhere within the node's tolerance, where the segment before
+                can have stopped. `spread`, for training, starts in the ball, in an ellipsoid round
+                the way at up to 15 m/s, or under way, about as fast as can still be stopped in
+                time. Many of the last lie near the goal, where flights brake and lose time.
         """
         scene, home = self.scene, place(self.scene, self.nodes[0])
         if kind == "point":
@@ -157,12 +161,12 @@ class Course:
                 v,
                 wanting,
             )
-        # A start node wedged between boxes: the node itself is known to be free.
+        # Near a start node wedged between boxes no draw fits; the node itself is known to be free.
         q[wanting], v[wanting] = home, 0.0
         return q, v
 
     def _under_way(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Positions and velocities (count, 3) along the way, whether or not they are clear."""
+        """Draws positions (m) and velocities (m/s), (count, 3), along the way; may touch boxes."""
         scene, path = self.scene, self.guidance[0].path
         whole = path_length(path)
         stopping = scene.v_max**2 / (2 * scene.a_max)
@@ -180,11 +184,11 @@ class Course:
 
     @cached_property
     def _ellipsoids(self) -> tuple[Array, Array, Array, Array]:
-        """Where `ball` and `spread` starts lie, see `kernels.try_starts`; metres and m/s."""
+        """Returns `middle`, `along`, `half` (m) and `top` (m/s) for `starts.try_starts`."""
         start, end = place(self.scene, self.nodes[0]), self.guidance[0].aim
         reach, axis = self.scene.tolerance(self.nodes[0]), end - start
         focal = float(np.linalg.norm(axis))
-        total = max(self.guidance[0].length, focal) + SPREAD_SLACK
+        total = max(self.guidance[0].length, focal) + SPREAD_MARGIN_M
         minor = float(np.sqrt(total**2 - focal**2)) / 2
         along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
         return (

@@ -1,6 +1,6 @@
-"""The dm-control environment: one UAV on a segment or a whole mission, and the registry to load it.
+"""Defines the dm-control environment of one UAV on a segment or mission, and its registry.
 
-`mjcollect.load("segment", scene=..., segment=2)` gives a `dm_control.rl.control.Environment`.
+`mjcollect.load("segment", scene=..., segment=2)` returns a `dm_control.rl.control.Environment`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,19 @@ DEFAULT_SCENE = "scenario_1"
 
 
 class Physics(mujoco.Physics):
-    """Simulation of one UAV that remembers every physics step of the last slot."""
+    """Simulates one UAV and remembers every physics step of the last slot.
 
-    path: Array  # (n, 3) positions after each step of the last slot
-    speeds: Array  # (n, 3) velocities
-    touch: np.ndarray  # (n,) contact sensor
+    Attributes:
+        path, speeds: (n, 3) positions (m) and velocities (m/s) after each physics step.
+        touch: (n,) whether the contact sensor fired in each physics step.
+    """
+
+    path: Array
+    speeds: Array
+    touch: np.ndarray
 
     def step(self, nstep: int = 1) -> None:
-        """Advance by `nstep` steps, keeping each: a contact inside a slot must not be lost."""
+        """Advances by `nstep` steps and keeps each: a contact inside a slot must not be lost."""
         data = self.data.ptr
         q, v, sensors = data.qpos[:3], data.qvel[:3], data.sensordata
         self.path, self.speeds = np.empty((nstep, 3)), np.empty((nstep, 3))
@@ -47,20 +52,20 @@ class Physics(mujoco.Physics):
                 self.touch[k] = sensors[0] > 0
 
     def position(self) -> Array:
-        """Position (3,) of the UAV's centre in metres."""
+        """Returns the position (3,) of the UAV's centre in m."""
         return np.array(self.data.qpos[:3])
 
     def velocity(self) -> Array:
-        """Velocity (3,) in m/s."""
+        """Returns the velocity (3,) in m/s."""
         return np.array(self.data.qvel[:3])
 
     def speed(self) -> float:
-        """Norm of the velocity in m/s."""
+        """Returns the norm of the velocity in m/s."""
         return float(np.linalg.norm(self.velocity()))
 
 
 class FlightTask(control.Task):
-    """Fly a course: collect each target at rest, in turn, without touching anything."""
+    """Defines the task of a course: collect each target at rest, in turn, touching nothing."""
 
     def __init__(
         self,
@@ -69,12 +74,15 @@ class FlightTask(control.Task):
         start: StartKind = "point",
         random: int | np.random.RandomState | None = None,
     ) -> None:
-        """Set up the task.
+        """Sets up the task.
 
         Args:
-            course: nodes to visit. rules: observation and reward.
-            start: kind of start state, see `Course.starts`.
+            course: nodes to visit. rules: observation, reward and shield.
+            start: kind of start state, explained at `Course.starts`.
             random: seed or random state of the starts.
+
+        Raises:
+            ValueError: the kind of start is unknown.
         """
         if start not in START_KINDS:
             raise ValueError(f"start: {start!r}: must be one of {', '.join(START_KINDS)}")
@@ -89,55 +97,55 @@ class FlightTask(control.Task):
 
     @property
     def random(self) -> np.random.RandomState:
-        """Random state of the starts."""
+        """Returns the random state of the starts."""
         return self._random
 
     @property
-    def leg(self) -> int:
-        """Targets reached so far: the index of the current leg of the course."""
+    def segment_index(self) -> int:
+        """Returns the index of the course's current segment: the number of targets reached."""
         return int(self.episodes.target[0])
 
     def initialize_episode(self, physics: Physics) -> None:
-        """Put the UAV at a start state."""
+        """Draws a start state and puts the UAV there."""
         rng = np.random.default_rng(self._random.randint(2**31))
         q, v = self.course.starts(self.start, 1, rng)
         self.place(physics, q[0], v[0])
 
     def place(self, physics: Physics, q: Array, v: Array) -> None:
-        """Begin an episode at position and velocity (3,)."""
+        """Begins an episode at a position (3,) in m with a velocity (3,) in m/s."""
         physics.data.qpos[:3], physics.data.qvel[:3] = q, v
         self.episodes.reset(np.array([0]), q[None], v[None])
         self.outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
-        """Acceleration in units of a_max, each axis in [-1, 1]; see `flight.project`."""
+        """Returns the spec of an action (3,): acceleration in units of a_max, each in [-1, 1]."""
         return specs.BoundedArray((3,), np.float64, -1.0, 1.0, name="acceleration")
 
     def before_step(self, action: Array, physics: Physics) -> None:
-        """Turn the raw action into a feasible command for the slot."""
+        """Turns the raw action into a feasible command for the slot."""
         self.acceleration = self.episodes.begin_slot(np.asarray(action, np.float64)[None])[0]
         physics.set_control(self.acceleration)
 
     def after_step(self, physics: Physics) -> None:
-        """Judge the slot."""
+        """Judges the slot just flown."""
         self.outcome = self.episodes.end_slot(
             physics.path[None], physics.speeds[None, -1], physics.touch[None]
         )
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, Array]:
-        """Named parts of the observation."""
+        """Returns the observation's named parts, each (d,)."""
         parts = self.episodes.observe()
         return collections.OrderedDict((name, part[0]) for name, part in parts.items())
 
     def get_reward(self, physics: Physics) -> float:
-        """Reward of the last slot."""
+        """Returns the reward of the last slot."""
         return float(self._last.reward[0])
 
     def get_termination(self, physics: Physics) -> float | None:
-        """0 for arrival or crash, 1 at the step limit (a truncation), None to go on.
+        """Returns the final discount: 0 on arrival or crash, 1 at the step limit, None to go on.
 
-        The step limit is the task's own: `Environment`'s would report an arrival or a crash on
-        the last step as a truncation.
+        The step limit is the task's own, because dm-control's would report an arrival or a crash
+        in the last slot as a truncation.
         """
         if self._last.terminated[0]:
             return 0.0
@@ -160,7 +168,7 @@ def make_environment(
     shield: bool = True,
     environment_kwargs: dict[str, Any] | None = None,
 ) -> control.Environment:
-    """dm-control environment of a course; see `load` for the arguments."""
+    """Returns the dm-control environment of a course, with further arguments as in `load`."""
     rules = Rules(observation, reward, shield=shield)
     task = FlightTask(course, rules, start, random)
     root = build(course.scene, solid=PRESETS[reward].crash_ends)
@@ -178,7 +186,7 @@ _TASKS: dict[str, Callable[..., Course]] = {}
 
 
 def register(name: str) -> Callable[[Callable[..., Course]], Callable[..., Course]]:
-    """Add a course maker `(scene, order, **kwargs) -> Course` to the registry.
+    """Returns a decorator that registers a function `(scene, order, **kwargs) -> Course` as a task.
 
     Raises:
         ValueError: the name is taken.
@@ -204,7 +212,7 @@ def _mission(scene: Scene, order: tuple[int, ...]) -> Course:
 
 
 def task_names() -> tuple[str, ...]:
-    """Names that `load` knows."""
+    """Returns the names of all tasks that `load` knows."""
     return tuple(_TASKS)
 
 
@@ -222,18 +230,20 @@ def load(
     environment_kwargs: dict[str, Any] | None = None,
     **task_kwargs: Any,
 ) -> control.Environment:
-    """Load an environment by name.
+    """Returns a new environment by the name of its task.
 
     Args:
-        task: `segment` (with `segment=I`) or `mission`.
-        scene: a Scene, a scene file, or the name of a bundled scene.
-        order: visiting order method, see `tour.plan_order`; `seed` is for `random`.
-        observation, reward: preset names. start: kind of start states.
-        random: seed of the start states.
-        shield: bend commands that leave no way to stop without touching anything.
+        task: `segment` (with `segment=I`), `mission`, or a name given to `register`.
+        scene: a `Scene`, a scene file, or the name of a bundled scene.
+        order: method of the visiting order, as `plan_order` takes it; `seed` is for `random`.
+        observation, reward: names of the observation and the reward preset.
+        start: kind of start states, as `Course.starts` takes it. random: seed of the start states.
+        shield: whether to bend commands that leave no way to stop without touching anything.
+        environment_kwargs: arguments of `control.Environment`. task_kwargs: arguments of the task.
 
     Raises:
-        ValueError: an unknown name, with the valid ones. SceneError: the scene is refused.
+        ValueError: a name is unknown; the message lists the valid ones.
+        SceneError: the scene is refused.
     """
     if task not in _TASKS:
         raise ValueError(f"task: {task!r}: must be one of {', '.join(_TASKS)}")

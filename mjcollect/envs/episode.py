@@ -1,7 +1,7 @@
-"""Episode bookkeeping over N simulations: targets, collection, reward and termination.
+"""Runs N episodes slot by slot: commands, events, rewards, observations and termination.
 
-The one place where commands, events, rewards and observations meet; it knows positions and
-velocities only, not which simulator moves the body.
+This is the one place where these meet. It knows positions and velocities only, not which simulator
+moves the body.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
 from mjcollect.guidance.approach import Approach
 
-SAVED = (
+SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "truth",
     "observed",
     "v",
@@ -37,16 +37,17 @@ SAVED = (
     "crashed",
     "held",
     "left",
-)  # an episode's state
-GAMMA = 0.99  # discount per slot, also that of the learner
+)
+GAMMA = 0.99  # The default discount factor per slot of an environment.
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Which observation and reward an episode uses, and its discount.
+    """Says by which rules an episode runs.
 
-    Raises:
-        ValueError: unknown names, or a discount outside (0, 1).
+    Attributes:
+        observation, reward: names in `OBSERVATIONS` and `PRESETS`. gamma: discount per slot.
+        shield: whether to bend commands that leave no way to stop without touching anything.
     """
 
     observation: str = "guided"
@@ -55,7 +56,11 @@ class Rules:
     shield: bool = True
 
     def __post_init__(self) -> None:
-        """Check the names."""
+        """Checks the names and the discount.
+
+        Raises:
+            ValueError: a name is unknown, or the discount lies outside (0, 1).
+        """
         for field, choices in (("observation", OBSERVATIONS), ("reward", PRESETS)):
             if getattr(self, field) not in choices:
                 raise ValueError(
@@ -67,12 +72,13 @@ class Rules:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one slot, each (N,).
+    """Holds the result of one slot in N episodes, each (N,).
 
     Attributes:
-        reward: of the slot. slot: its events.
-        terminated: the course is finished, or a crash ended it. truncated: the step limit did.
-        success: the course is finished. shielded: the shield changed the command.
+        reward: reward of the slot. slot: events of the slot.
+        terminated: whether the course was finished or a crash ended the episode.
+        truncated: whether the step limit ended the episode.
+        success: whether the course was finished. shielded: whether the shield changed the command.
     """
 
     reward: Array
@@ -84,15 +90,15 @@ class Outcome:
 
 
 class Episodes:
-    """N episodes, each on a course of its own or all on one.
+    """Runs N episodes, each on a course of its own or all on one.
 
     Attributes:
-        truth, observed, v: (N, 3) positions, the same as far as they are known if disturbed, and
-            velocities. target: (N,) index of each one's current target.
-        commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much its acceleration
-            differed from it. sums: of both so far, see `adaptation`.
-        collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) any crash so far.
-        approach: how each one stands towards its target.
+        truth, observed: (N, 3) true positions, and positions as measured if disturbed (m).
+        v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
+        commanded, drift: (N, 3) the last slot's command, and by how much its acceleration differed
+            from it (m/s^2). sums: sums over both so far, as `disturbance_estimate` needs them.
+        collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
+        held, left: (N, 3), (N,) the shield's state. approach: how each stands towards its target.
     """
 
     def __init__(
@@ -102,7 +108,7 @@ class Episodes:
         rules: Rules,
         disturbances: Disturbances | None = None,
     ) -> None:
-        """Prepare `count` episodes, on one course or one each.
+        """Prepares `count` episodes, on one course or one each.
 
         Raises:
             ValueError: the number of courses is neither 1 nor `count`.
@@ -113,7 +119,7 @@ class Episodes:
         self._adapts = rules.observation in ADAPTIVE
         self._framed = rules.observation in FRAMED
         scenes = [course.scene for course in courses]
-        if self._adapts or disturbances is not None:  # each has a world of its own
+        if self._adapts or disturbances is not None:  # Each episode has a world of its own.
             scenes = [self.course(index).scene for index in range(count)]
         elif all(scene is scenes[0] for scene in scenes):
             scenes = scenes[:1]
@@ -134,20 +140,23 @@ class Episodes:
 
     @property
     def q(self) -> Array:
-        """Positions (N, 3) as far as they are known: what decisions are made from."""
+        """Returns the positions (N, 3) in m from which decisions are made."""
         return self.truth if self.disturbances is None else self.observed
 
     @property
     def boxes(self) -> Array:
-        """Boxes (N, M, 2, 3) as decisions see them, moving ones last; N is 1 where all are one."""
+        """Returns the boxes (N, M, 2, 3) in m as decisions see them, the moving ones last.
+
+        N is 1 where all episodes share one world.
+        """
         return self._seen_world.boxes
 
     def course(self, index: int) -> Course:
-        """The course of episode `index`."""
+        """Returns the course of episode `index`."""
         return self.targets.course(index)
 
     def reset(self, which: Indices, q: Array, v: Array) -> None:
-        """Begin anew at q, v (n, 3) in the episodes `which` (n,) (indices)."""
+        """Begins the episodes with indices `which` (n,) anew at q, v (n, 3) in m and m/s."""
         self.truth[which], self.v[which] = q, v
         self.commanded[which] = self.drift[which] = self.sums[which] = 0.0
         self.target[which] = self.targets.first[which]
@@ -162,16 +171,18 @@ class Episodes:
         self._update_approach(self.approach, which)
 
     def load(self, state: dict[str, Array]) -> None:
-        """Go on from saved attributes, `SAVED`."""
+        """Goes on from saved values of the attributes `SAVED`."""
         for name, value in state.items():
             setattr(self, name, value)
         self._update_estimates()
         self.approach = self._approach()
 
     def begin_slot(self, action: Array) -> Array:
-        """Accelerations (N, 3) in m/s^2 to hold for the next slot, from raw actions (N, 3).
+        """Returns the accelerations (N, 3) in m/s^2 to hold for the next slot.
 
-        Actions are in units of a_max, in the frame of the path with an observation in FRAMED.
+        Args:
+            action: (N, 3) raw actions in units of a_max, in world axes, or in the frame of the path
+                if the observation is in FRAMED.
         """
         goal, tolerance = self.targets.goal[self.target], self.targets.tolerance[self.target]
         if self._framed:
@@ -186,11 +197,11 @@ class Episodes:
         return self.commanded
 
     def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
-        """Judge the slot just flown and move on to the next target where one was reached.
+        """Judges the slot just flown and moves on to the next target where one was reached.
 
         Args:
-            path: (N, n, 3) positions after each physics step. v: (N, 3) velocity at the end.
-            sensed: (N, n) contact sensor after each step.
+            path: (N, n, 3) positions after each physics step (m). v: (N, 3) final velocity (m/s).
+            sensed: (N, n) contact sensor after each physics step.
         """
         margin = BOUNDS_TOLERANCE if self.disturbances is None else MARGIN
         if self.disturbances is not None and self.disturbances.level.mover > 0.0:
@@ -209,7 +220,7 @@ class Episodes:
         if self._preset.crash_ends:
             ended = slot.crashed
         else:
-            # Contact is sensed, not resolved: motion went on, so the stop holds all the same.
+            # Contact is sensed, not resolved: motion goes on, so a stop counts all the same.
             ended = np.zeros(self.count, dtype=bool)
             slot = Slot(slot.contact, slot.outside, self._stop.copy(), slot.first_event)
         if self.disturbances is not None:
@@ -234,13 +245,13 @@ class Episodes:
         return Outcome(reward, slot, terminated, truncated, success, self.shielded.copy())
 
     def _rests(self) -> Bools:
-        """Where (N,) a disturbed stop is one: slow enough, and within the tolerance."""
+        """Returns which disturbed stops (N,) count: slow enough and within the tolerance."""
         miss = np.linalg.norm(self.truth - self.targets.goal[self.target], axis=1)
         slow = np.linalg.norm(self.v, axis=1) <= REST_SPEED
         return np.asarray(slow & (miss <= self.targets.tolerance[self.target]))
 
     def observe(self, which: Indices | None = None) -> Parts:
-        """Named parts of the observation, each (N, d); only the rows `which` (n,) if given."""
+        """Returns the observation's named parts, each (N, d), or only their rows `which` (n,)."""
         state = State(
             self.q, self.v, self.approach, self.targets.items, self.collected, self.commanded,
             self.drift, self._gain, self._push, self._mover,
@@ -251,13 +262,14 @@ class Episodes:
 
     @property
     def next_cost(self) -> Array:
-        """Seconds (N,) at full speed that the current place costs on the tour's next segment."""
+        """Returns the time (N,) in s, at v_max, that the place costs on the next segment."""
         return np.asarray(self.approach.next_excess / self.world.v_max[..., 0])
 
     def guidance_action(self) -> Array:
-        """Actions (N, 3) of the guidance law from here, see `guidance.law`.
+        """Returns the actions (N, 3) of the guidance law of `guidance.law` in units of a_max.
 
-        With an adaptive observation, for the acceleration that is left, and against the push.
+        With an observation in ADAPTIVE it plans with the acceleration that the estimated
+        disturbance leaves and counters its push.
         """
         law = self.targets.law(self._seen_world, self.target, self.q, self.v)
         if self._adapts:
@@ -268,7 +280,7 @@ class Episodes:
         return law
 
     def _update_estimates(self) -> None:
-        """Bring up to date what is known of disturbances: the world as decisions see it."""
+        """Updates what is known of disturbances, and so the world as decisions see it."""
         self._seen_world = self.world
         if self._adapts:
             self._gain, self._push = disturbance_estimate.estimate(self.sums)
@@ -281,11 +293,11 @@ class Episodes:
             self._mover = movers.seen(self.q, self.world.v_max)
 
     def _approach(self) -> Approach:
-        """A new approach of all episodes."""
+        """Returns a new approach of all episodes."""
         approach = Approach.empty(self.count)
         self._update_approach(approach, self._all)
         return approach
 
     def _update_approach(self, approach: Approach, which: Indices) -> None:
-        """Write the rows `which` of an approach."""
+        """Writes the rows `which` (n,) of an approach."""
         self.targets.update_approach(self._seen_world, self.target, self.q, self.v, which, approach)

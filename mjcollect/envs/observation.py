@@ -1,7 +1,7 @@
-"""The named observations, vectorised over N simulations.
+"""Defines the named observations, vectorised over N simulations.
 
-`guided`, the default of the environments, works for any number of obstacles and items. `path`, what
-policies learn from by default, is the same as seen from the path, and so are the actions. `robust`
+`guided`, the environments' default, works for any number of boxes and items. `path`, from which
+policies learn by default, is the same in the frame of the path, and so are the actions. `robust`
 adds what kept the flight from its commands. `paper` is the state S = {q, v, l, m, p} of the paper's
 section IV-B. All return named parts, each (N, d), in order.
 """
@@ -20,36 +20,37 @@ from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.vectors import dot, norm
 from mjcollect.guidance.approach import LOOK_AHEAD, Approach
 
-NEAREST_BOXES = 4
-REACH = 30.0  # metres at which boxes and walls begin to matter to the `guided` observation
-WIDTHS = {  # parts of `guided`, in natural units: v_max, a_max, the distance of a stop from v_max
+NEAREST_BOXES = 4  # `guided` shows this many boxes.
+REACH = 30.0  # Boxes and walls begin to show in `guided` at about this distance (m).
+# Widths of the parts of `guided`, in units of v_max, a_max and the stopping distance from v_max.
+WIDTHS = {
     "velocity": 3,
-    "slowness": 3,  # the velocity where it is small
+    "slowness": 3,  # The velocity again, magnified where it is small.
     "guide_direction": 3,
-    "guide_ahead": 3 * (len(LOOK_AHEAD) - 1),  # the first point lies straight ahead
+    "guide_ahead": 3 * (len(LOOK_AHEAD) - 1),  # The first point lies straight ahead: left out.
     "guide_distance": 3,
     "goal_offset": 9,
     "braking": 8,
     "boxes": 3 * NEAREST_BOXES,
     "walls": 6,
-    "rest": 6,  # where full braking would end, as seen from the goal
+    "rest": 6,  # Where full braking would end, relative to the goal.
     "next_direction": 3,
 }
 Parts = dict[str, Array]
-# Where each part begins in a row of `guided`: compiled code writes there, and parts are cut there.
+# Each part of `guided` begins at this column: compiled code writes there, and parts are cut there.
 AT: Any = namedtuple("Offsets", WIDTHS)(*np.cumsum([0, *WIDTHS.values()])[:-1].tolist())
 SIZE = sum(WIDTHS.values())
 
 
 class State(NamedTuple):
-    """What an observation is made of.
+    """Holds what an observation is made of.
 
     Attributes:
-        q, v: (N, 3). approach: the way to the current target.
-        items: (N, K, 3), as padded. collected: (N, K).
-        commanded, drift: (N, 3) m/s^2, the last slot's command, and by how much the slot differed
-            from it. gain, push: (N, 1), (N, 3), see `flight.disturbance_estimate`.
-        mover: (N, 6), see `MovingBoxes.seen`.
+        q, v: (N, 3) positions (m), velocities (m/s). approach: the way to the current target.
+        items: (N, K, 3) m, padded with points far away. collected: (N, K) flags.
+        commanded, drift: (N, 3) the last slot's command, and by how much the slot differed from it
+            (m/s^2). gain, push: (N, 1), (N, 3) estimates of `flight.disturbance_estimate`.
+        mover: (N, 6) what `MovingBoxes.seen` shows of a moving box.
     """
 
     q: Array
@@ -64,7 +65,7 @@ class State(NamedTuple):
     mover: Array
 
     def rows(self, which: Indices) -> State:
-        """The state of the simulations `which` (n,) only."""
+        """Returns the state of the simulations `which` (n,) only."""
         return State._make(
             part.rows(which) if isinstance(part, Approach) else part[which] for part in self
         )
@@ -74,10 +75,13 @@ class State(NamedTuple):
 def nearest_boxes(
     boxes: Array, q: Array, reach: float, far: float, gaps: Array, offset: Array, out: Array
 ) -> None:
-    """Direction times closeness to the nearest boxes, nearest first: `out` (3 * len(gaps),).
+    """Writes direction times closeness of the nearest boxes, nearest first.
 
-    One metre away reads close to 1, `reach` away 1/2, far away 0; padding exactly 0, so that an
-    observation does not depend on how many boxes other simulations have.
+    Closeness is near 1 at 1 m, 1/2 at `reach` (m) and 0 far away. Padding, beyond `far` / 2, gives
+    exactly 0, so that an observation does not depend on how many boxes other simulations have.
+
+    Args:
+        boxes: (M, 2, 3) m. q: (3,) m. gaps, offset: (n,) and (3,) scratch. out: (3 n,).
     """
     count = len(gaps)
     gaps[:], out[:] = far, 0.0
@@ -98,14 +102,14 @@ def nearest_boxes(
 
 @compiled
 def seen_from(frame: Array, vector: Array, scale: float, to: Array) -> None:
-    """A vector over a scale, in a frame."""
+    """Writes a vector (3,), divided by a scale, in a frame (3, 3) of unit rows."""
     for k in range(3):
         to[k] = dot(frame[k], vector) / scale
 
 
 @compiled
 def squash(vector: Array) -> None:
-    """tanh of each component."""
+    """Replaces each component by its tanh."""
     for k in range(len(vector)):
         vector[k] = math.tanh(vector[k])
 
@@ -114,11 +118,15 @@ def squash(vector: Array) -> None:
 def braking_part(
     near: float, far: float, closing: float, a_max: float, v_max: float, slot: float, out: Array
 ) -> None:
-    """How a stop stands: `out` (8,).
+    """Writes how a stop at the target stands, `out` (8,).
 
-    How much faster than one can still stop; share of a_max that a stop takes at the near and the
-    far end of what will do; slots until it must begin, for either; and slots to rest as an angle:
-    only whole ones are flown.
+    The numbers are the excess over the speed that can still be stopped; the share of a_max that a
+    stop takes at the near and the far end of the ball; the time until it must begin, for either
+    end; and the slots to rest as an angle, since only whole slots are flown.
+
+    Args:
+        near, far: distances to these ends (m). closing: speed towards the target (m/s).
+        a_max: m/s^2. v_max: m/s. slot: s.
     """
     speed, change = max(closing, 0.0), a_max * slot
     braking = speed**2 / (2 * a_max)
@@ -138,7 +146,7 @@ def braking_part(
 def guided_rows(
     world: World, q: Array, v: Array, approach: Approach, frame: Array, out: Array
 ) -> None:
-    """Rows (N, SIZE) of `guided` with vectors in frames (N, 3, 3); each part at its place in AT."""
+    """Writes rows (N, SIZE) of `guided` with vectors in frames (N, 3, 3), each part at its AT."""
     gaps, offset = np.empty(NEAREST_BOXES), np.empty(3)
     boxes, rest = np.empty(3 * NEAREST_BOXES), np.empty(3)
     for i in range(len(q)):
@@ -178,20 +186,20 @@ def guided_rows(
 
 
 def guided(world: World, state: State) -> Parts:
-    """Velocity, shortest-path guidance, the goal, braking, nearest boxes and walls; see WIDTHS."""
-    return _seen(world, state, np.broadcast_to(np.eye(3), (len(state.q), 3, 3)))
+    """Returns velocity, guidance, goal, braking, nearest boxes and walls in the parts of WIDTHS."""
+    return _guided_parts(world, state, np.broadcast_to(np.eye(3), (len(state.q), 3, 3)))
 
 
 def path(world: World, state: State) -> Parts:
-    """`guided` with vectors in the frame of the path; `guide_direction` and walls stay as they are.
+    """Returns `guided` in the frame of the path, except `guide_direction` and `walls`.
 
-    With it actions are in that frame too, see `Approach.frame`.
+    With this observation actions are in that frame too, which is `Approach.frame`.
     """
-    return _seen(world, state, state.approach.frame)
+    return _guided_parts(world, state, state.approach.frame)
 
 
-def _seen(world: World, state: State, frame: Array) -> Parts:
-    """The parts of `guided` with vectors in frames (N, 3, 3)."""
+def _guided_parts(world: World, state: State, frame: Array) -> Parts:
+    """Returns the parts of `guided` with vectors in frames (N, 3, 3)."""
     flat = np.empty((len(state.q), SIZE))
     guided_rows(world, state.q, state.v, state.approach, plain(frame), flat)
     return {
@@ -200,7 +208,7 @@ def _seen(world: World, state: State, frame: Array) -> Parts:
 
 
 def paper(world: World, state: State) -> Parts:
-    """S = {q, v, l, m, p}, each normalised by the size of the scene or by v_max."""
+    """Returns the paper's S = {q, v, l, m, p}, scaled by the size of the scene or by v_max."""
     low, size = world.bounds[:, 0], world.bounds[:, 1] - world.bounds[:, 0]
     to_boxes = nearest_point_offset(state.q[:, None], world.boxes)
     to_boxes = np.clip(to_boxes / size[:, None], -1.0, 1.0)
@@ -216,9 +224,9 @@ def paper(world: World, state: State) -> Parts:
 
 
 def robust(world: World, state: State) -> Parts:
-    """`guided`, a moving box, the last slot's command and drift and estimates of it.
+    """Returns `guided`, the last slot's command and drift, estimates of it, and a moving box.
 
-    Accelerations are in units of what is left of a_max, see `disturbance_estimate.usable`.
+    Accelerations are in units of the a_max that `disturbance_estimate.usable` says is left.
     """
     parts = guided(world, state)
     return {
@@ -232,5 +240,5 @@ def robust(world: World, state: State) -> Parts:
 
 
 OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}
-FRAMED = ("path",)  # actions are in the frame of the path as well
-ADAPTIVE = ("robust",)  # the guidance law adapts to the disturbances that they show
+FRAMED = ("path",)  # With these, actions are in the frame of the path as well.
+ADAPTIVE = ("robust",)  # With these, the guidance law adapts to the disturbances that they show.

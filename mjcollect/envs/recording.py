@@ -1,4 +1,4 @@
-"""Fly policies once in the single dm-control environment and record every physics step."""
+"""Flies a course once in the dm-control environment and records every physics step."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.dm_env import FlightTask, Physics, make_environment
 from mjcollect.trajectory import Recorder, Trajectory
 
-SILENT = 5.0  # seconds that a flight may take without a progress bar
+SILENT = 5.0  # A flight that takes longer than this (s) shows a progress bar.
 Policy = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Flight:
-    """A recorded flight.
+    """Holds a recorded flight.
 
     Attributes:
-        trajectory: every physics step, to the first contact if there was one.
-        success: the course was finished. contacts: physics steps in contact.
-        arrivals: seconds at which each leg's target was reached, as far as they were.
-        shielded: for each slot flown, whether the shield changed the command. slot: its seconds.
+        trajectory: every physics step, up to the first contact if there was one.
+        success: whether the course was finished. contacts: number of slots with a contact.
+        arrivals: time at which each target was reached, as far as they were (s).
+        shielded: whether the shield changed the command of each slot. slot: a slot's duration (s).
     """
 
     trajectory: Trajectory
@@ -37,16 +37,16 @@ class Flight:
 
     @property
     def shield_share(self) -> float:
-        """Share of the slots in which the shield changed the command; 0 without a shield."""
+        """Returns the share of slots in which the shield changed the command; 0 without it."""
         return _share(self.shielded)
 
     @property
     def shield_shares(self) -> list[float | None]:
-        """The same for each leg reached, and that which was begun last; None: no slot of it."""
+        """Returns this share for each segment begun, None for one of which no slot was flown."""
         ends = [round(seconds / self.slot) for seconds in self.arrivals]
         pairs = pairwise([0, *ends, len(self.shielded)])
-        legs = [self.shielded[begin:end] for begin, end in pairs]
-        return [_share(leg) if leg else None for leg in legs]
+        segments = [self.shielded[begin:end] for begin, end in pairs]
+        return [_share(segment) if segment else None for segment in segments]
 
 
 def _share(acted: Sequence[bool]) -> float:
@@ -59,31 +59,33 @@ Pilot = Callable[[np.ndarray, FlightTask], np.ndarray]
 def fly(
     course: Course, policies: Sequence[Policy], observation: str = "guided", *, shield: bool = True
 ) -> Flight:
-    """Fly `course` from rest exactly at its start, each leg by its policy, without a break.
+    """Flies `course` from rest exactly at its start, each segment by its policy, without a break.
 
     Args:
-        policies: one per leg: observations (1, D) float32 -> actions (1, 3). shield: as `record`.
+        policies: policy of each segment, from observations (1, D) float32 to actions (1, 3).
+        observation: name of the policies' observation.
+        shield: whether to bend commands that leave no way to stop without touching anything.
     """
 
     def pilot(flat: np.ndarray, task: FlightTask) -> np.ndarray:
-        return policies[task.leg](flat[None])[0]
+        return policies[task.segment_index](flat[None])[0]
 
     return record(course, pilot, observation, shield=shield)
 
 
 def fly_law(course: Course, *, shield: bool = True) -> Flight:
-    """Fly `course` by the guidance law; `shield` as in `record`."""
+    """Flies `course` by the guidance law from rest exactly at its start; `shield` as in `fly`."""
     return record(course, lambda _, task: task.episodes.guidance_action()[0], shield=shield)
 
 
 def record(
     course: Course, pilot: Pilot, observation: str = "guided", *, shield: bool = False
 ) -> Flight:
-    """Fly `course` from rest exactly at its start, each slot's action (3,) by `pilot`.
+    """Flies `course` from rest exactly at its start with any pilot, and records the flight.
 
     Args:
-        pilot: flat observation (D,) float32 and task -> action (3,).
-        shield: bend commands that leave no way to stop without touching anything.
+        pilot: maps the flat observation (D,) float32 and the task to an action (3,), every slot.
+        observation: name of the observation. shield: as in `fly`.
     """
     environment = make_environment(course, observation=observation, shield=shield)
     task: FlightTask = environment.task
@@ -106,7 +108,7 @@ def record(
         assert outcome is not None
         shielded.append(bool(outcome.shielded[0]))
         slot = outcome.slot
-        # After a contact the body bounces: the record ends with the row where it is seen.
+        # After a contact the body bounces, so the record ends with the row that shows it.
         rows = int(slot.first_event[0]) + 1
         recorder.slot(physics.path[:rows], physics.speeds[:rows], task.acceleration)
         contacts += int(slot.contact[0])

@@ -1,9 +1,9 @@
-"""Reward presets, vectorised over N simulations.
+"""Defines the reward presets, vectorised over N simulations.
 
-`lost`, what policies learn from by default: minus the time lost against the least time to go.
-`time`: minus the time flown, shaped by a discount-consistent potential of the least
-time to go. `careful`: the same with a crash that costs more, for flights that are disturbed.
-`paper`: r1..r6 of the paper's section V-A to the letter.
+`lost`, from which policies learn by default, is minus the time lost against the least time to go.
+`time` is minus the time flown, shaped by a discount-consistent potential of the least time to go.
+`careful` is the same with a costlier crash, for disturbed flights. `paper` is r1 to r6 of the
+paper's section V-A to the letter.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
 from mjcollect.guidance.approach import Approach
 
-CRASH = -2.0  # `time`: flat, with no potential term
-CAREFUL_CRASH = -10.0  # at -2 a policy in wind risks crashes for tenths of a second
-R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # paper, section V-A
+CRASH = -2.0  # A crash earns this reward in `time` and `lost`, with no potential term.
+CAREFUL_CRASH = -10.0  # In wind, a policy that pays 2 risks crashes for tenths of a second.
+R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # The paper's section V-A sets these rewards.
 
 
 def potential(world: World, approach: Approach, gamma: float) -> Array:
-    """Minus the discounted time to go (N,): the return of flying on and arriving on time."""
+    """Returns minus the discounted time to go (N,) in s, the return of arriving on time."""
     slots = approach.time_to_go(world) / world.slot
     return np.asarray(-world.slot * (1.0 - gamma**slots) / (1.0 - gamma))
 
@@ -38,9 +38,9 @@ def time_reward(
     gamma: float,
     crash: float = CRASH,
 ) -> Array:
-    """-slot + gamma Phi' - Phi; `crash` flat for a crash. Shape (N,).
+    """Returns -slot + gamma Phi' - Phi, or `crash` for a crash, (N,).
 
-    On arrival Phi' is minus the time that the place of the stop costs on the next leg.
+    On arrival Phi' is minus the time that the place of the stop costs on the next segment.
     """
     stopped = -after.next_excess / world.v_max[..., 0]
     ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
@@ -49,10 +49,10 @@ def time_reward(
 
 
 def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
-    """Minus the seconds lost in the slot: flown, less what the least time to go fell by. (N,).
+    """Returns minus the time lost in the slot (N,): the slot less the fall of the time to go, in s.
 
-    `time` without the discount in its potential, so that a second counts the same wherever it is
-    lost, and a short horizon sees what an action costs. On arrival as `time`.
+    It is `time_reward` without the discount in its potential: a second counts the same wherever it
+    is lost, and a short horizon sees what an action costs. Arrivals are treated the same.
     """
     stopped = after.next_excess / world.v_max[..., 0]
     left = np.where(slot.arrived, stopped, after.time_to_go(world))
@@ -63,7 +63,10 @@ def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gam
 def paper_reward(
     world: World, before: Approach, after: Approach, slot: Slot, gamma: float
 ) -> Array:
-    """r1 + r2 on the way to an item, r3 + r4 on the way home, r5 and r6 charged per slot. (N,)."""
+    """Returns the paper's reward (N,) of section V-A, with r5 and r6 charged per slot.
+
+    It is r1 + r2 on the way to an item and r3 + r4 on the way home.
+    """
     reward = -np.linalg.norm(after.offset, axis=-1)
     reward = reward + np.where(slot.arrived, np.where(before.returning, R4, R2), 0.0)
     return np.asarray(reward + R5 * slot.contact + R6 * slot.outside)
@@ -71,14 +74,14 @@ def paper_reward(
 
 @dataclass(frozen=True)
 class Preset:
-    """A reward and whether a crash ends the episode under it."""
+    """Holds a reward function and whether a crash ends the episode under it."""
 
     reward: Callable[[World, Approach, Approach, Slot, float], Array]
     crash_ends: bool
 
 
-# Under `paper` a crash that ended the episode would be the best policy, since r1 costs hundreds
-# a slot: there it is charged per slot and motion goes on by (2)-(3).
+# Under `paper` r1 costs hundreds per slot, so a crash that ended the episode would be the best
+# policy. There a crash is charged per slot, and motion goes on by (2)-(3).
 PRESETS = {
     "time": Preset(time_reward, True),
     "lost": Preset(lost_reward, True),

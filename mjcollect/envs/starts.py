@@ -1,4 +1,4 @@
-"""Where episodes start."""
+"""Tries out the starts of episodes until they are clear of everything."""
 
 from __future__ import annotations
 
@@ -14,16 +14,21 @@ from mjcollect.geometry.vectors import dot, from_ball, norm
 def room_to_brake(
     bounds: Array, boxes: Array, a_max: float, slot: float, radius: float, q: Array, v: Array
 ) -> bool:
-    """Whether a body is in bounds and clear of boxes, and stays so while it brakes."""
+    """Returns whether a body is in bounds and clear of boxes, and stays so while it brakes.
+
+    Args:
+        bounds: (2, 3) m. boxes: (M, 2, 3) m. a_max: m/s^2. slot: s. radius: the body's (m).
+        q, v: (3,) position (m) and velocity (m/s).
+    """
     ahead, speed = np.empty(3), norm(v)
-    # Braking in whole slots takes up to an eighth of a_max slot^2 more.
+    # Braking in whole slots needs up to a_max slot^2 / 8 more than v^2 / (2 a_max).
     reach = speed / (2 * a_max) + a_max * slot**2 / 8 / max(speed, 1e-9)
     for k in range(3):
         ahead[k] = q[k] + v[k] * reach
     if is_outside(bounds, q, 0.0) or is_outside(bounds, ahead, 0.0):
         return False
     free = True
-    for b in range(len(boxes)):  # by index: iteration forgets that boxes are contiguous
+    for b in range(len(boxes)):  # Iterating over boxes would hide that they are contiguous.
         free = free and segment_gap(q, ahead, boxes[b]) >= radius
     return free
 
@@ -35,11 +40,13 @@ def try_starts(
     speed: Array, speed_share: Array, way_q: Array, way_v: Array, todo: Indices, q: Array,
     v: Array, wanting: Bools,
 ) -> None:  # fmt: skip
-    """Starts of each `kind` (N,) in the episodes `todo`, which go on `wanting` if one does not fit.
+    """Writes a start of each `kind` (N,) into q, v (N, 3) for the n episodes `todo`.
 
-    A kind's positions fill the ellipsoid round `middle` (kinds, 3) with axis `along` (3,) and half
-    widths `half` (kinds, 2) along and across it; its velocities the ball of radius `top` (kinds,).
-    Beyond the last kind a start is as given, `way_q`, `way_v` (n, 3).
+    Positions of a kind fill the ellipsoid round `middle` (kinds, 3) with axis `along` (3,) and half
+    widths `half` (kinds, 2) along and across it (m); its velocities fill the ball of radius `top`
+    (kinds,) in m/s. A kind beyond the last starts at `way_q`, `way_v` (n, 3). Afterwards `wanting`
+    (N,) says which starts do not fit. The draws are normal (n, 3) and uniform (n, 1): `where`,
+    `where_share` for positions, `speed`, `speed_share` for velocities.
     """
     unit = np.empty(3)
     for j in range(len(todo)):

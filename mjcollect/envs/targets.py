@@ -1,4 +1,4 @@
-"""The targets of N episodes: where they lie, how each episode stands towards its own."""
+"""Keeps the targets of N episodes: where they lie, how each episode stands towards its own."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from mjcollect.guidance.law import law_rows
 
 
 class Targets:
-    """All targets of all distinct courses in one list, of which each episode walks a stretch.
+    """Lists the T targets of all distinct courses; each episode visits a stretch of the list.
 
     Attributes:
-        courses: one for all episodes, or one each. guidance: of the T targets.
-        node, goal, tolerance: (T,), (T, 3), (T,), item index (depot -1), place, and m.
+        courses: one course for all episodes, or one each. guidance: guidance to each target.
+        node: (T,) item index, or -1 for the depot. goal: (T, 3) m. tolerance: (T,) m.
         first, last: (N,) index of each episode's first and last target.
-        step_limit: (N,) slots after which an episode is cut off.
-        items: (N, K, 3) m, padded far away. depot: (N, 3) m.
-        before: (N, K) items that were collected before the episode begins.
+        step_limit: (N,) number of slots after which an episode is cut off.
+        items: (N, K, 3) m, padded with points far away. depot: (N, 3) m.
+        before: (N, K) flags of the items that were collected before the episode begins.
     """
 
     def __init__(self, courses: Sequence[Course], count: int) -> None:
-        """List the targets of `count` episodes, on one course or one each.
+        """Lists the targets of `count` episodes, on one course or one each.
 
         Raises:
             ValueError: the number of courses is neither 1 nor `count`.
@@ -56,16 +56,17 @@ class Targets:
             self.before[index, list(course.before)] = True
 
     def course(self, index: int) -> Course:
-        """The course of episode `index`."""
+        """Returns the course of episode `index`."""
         return self.courses[index if len(self.courses) > 1 else 0]
 
     def update_approach(
         self, world: World, target: Indices, q: Array, v: Array, which: Indices, approach: Approach
     ) -> None:
-        """Write the rows `which` of an approach.
+        """Writes the rows `which` (n,) of an approach.
 
         Args:
-            world: as decisions see it. target: (N,) current ones. q, v: (N, 3).
+            world: the world as decisions see it. target: (N,) index of each current target.
+            q, v: (N, 3) positions (m) and velocities (m/s).
         """
         for current, mine in self._groups(target, which):
             guide = self.guidance[current]
@@ -74,14 +75,14 @@ class Targets:
             approach.speed[mine] = np.linalg.norm(v[mine], axis=1)
             approach.returning[mine] = self.node[current] < 0
             if guide.next_goal is not None:
-                onward = guide.next_goal - guide.goal
-                far = float(np.linalg.norm(guide.goal - guide.next_goal))
-                approach.next_direction[mine] = onward / max(far, 1e-9)
-                away = np.linalg.norm(q[mine] - guide.next_goal, axis=-1)
-                approach.next_excess[mine] = away - far
+                to_next = guide.next_goal - guide.goal
+                distance = float(np.linalg.norm(guide.goal - guide.next_goal))
+                approach.next_direction[mine] = to_next / max(distance, 1e-9)
+                from_here = np.linalg.norm(q[mine] - guide.next_goal, axis=-1)
+                approach.next_excess[mine] = from_here - distance
 
     def law(self, world: World, target: Indices, q: Array, v: Array) -> Array:
-        """Actions (N, 3) of the guidance law, in units of a_max; arguments as above."""
+        """Returns the guidance law's actions (N, 3) in units of a_max; see `update_approach`."""
         action = np.empty(q.shape)
         for current, mine in self._groups(target, np.arange(len(q))):
             guide = self.guidance[current]
@@ -89,7 +90,7 @@ class Targets:
         return action
 
     def _groups(self, target: Indices, which: Indices) -> Iterator[tuple[int, Indices]]:
-        """The episodes `which` in groups with the same current target."""
+        """Yields each current target with those of the episodes `which` that head for it."""
         if len(self.guidance) == 1:
             yield 0, which
             return

@@ -1,1 +1,1 @@
-"""The rules of one slot, each in a file of its own, vectorised over N simulations."""
+"""This room holds the rules of one slot, one in each file, vectorised over N simulations."""

@@ -1,4 +1,4 @@
-"""Collection, eq. (5): a slot is flown as the stop at the goal wherever that stop is possible."""
+"""Collects items, eq. (5): a slot is flown as the stop at the goal wherever that is possible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mjcollect.geometry.vectors import norm
 
 @compiled
 def arrests_row(world: World, w: int, q: Array, v: Array, goal: Array, tolerance: float) -> bool:
-    """See `flight.arrests`."""
+    """Returns for one body, in scene `w` of the world, what `arrests` does."""
     coasted = world.slot * (world.substeps - 1) / (2 * world.substeps)
     square = 0.0
     for k in range(3):
@@ -27,7 +27,7 @@ def command_rows(
     world: World, q: Array, v: Array, action: Array, goal: Array, tolerance: Array,
     a: Array, stop: Bools,
 ) -> None:  # fmt: skip
-    """See `flight.command`."""
+    """Compiled loop of `command` over N simulations, which writes to `a` and `stop`."""
     for i in range(len(v)):
         w = scene_of(world, i)
         stop[i] = arrests_row(world, w, q[i], v[i], goal[i], tolerance[i])
@@ -39,9 +39,9 @@ def command_rows(
 
 
 def arrests(world: World, q: Array, v: Array, goal: Array, tolerance: Array) -> Bools:
-    """Collection rule, eq. (5): whether this slot is flown as a = -v / slot to stop at the goal.
+    """Returns whether this slot is flown as a = -v / slot to stop at the goal, eq. (5).
 
-    True where one slot can stop the body and the stop lies within `tolerance` of the goal.
+    It is where one slot can stop the body and the stop lies within `tolerance` of the goal.
 
     Args:
         q, v, goal: (N, 3). tolerance: (N,) m.
@@ -55,7 +55,10 @@ def arrests(world: World, q: Array, v: Array, goal: Array, tolerance: Array) -> 
 def command(
     world: World, q: Array, v: Array, action: Array, goal: Array, tolerance: Array
 ) -> tuple[Array, Bools]:
-    """Acceleration (N, 3) for the next slot, and where (N,) it is the stop that collects."""
+    """Returns the acceleration (N, 3) in m/s^2 of the next slot, and whether (N,) it is the stop.
+
+    Where it is not, it is the projected `action` (N, 3); the other arguments are as in `arrests`.
+    """
     a, stop = np.empty(v.shape), np.empty(len(v), dtype=bool)
     command_rows(world, plain(q), plain(v), plain(action), plain(goal), plain(tolerance), a, stop)
     return a, stop

@@ -1,4 +1,4 @@
-"""Contact and leaving the bounds, eq. (6)-(8), and how a slot is judged by them."""
+"""Judges a slot by contact with boxes and by leaving the bounds, eq. (6)-(8)."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
 
-BOUNDS_TOLERANCE = 1e-6  # metres; the body's centre may lie on the bounds
+BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
 
 
 @dataclass(frozen=True)
 class Slot:
-    """What happened in one slot, each (N,); `first_event` is n where nothing ended the flight.
+    """Says what happened in one slot, each (N,).
 
     Attributes:
-        contact, outside: the body touched a box; its centre left the bounds.
-        arrived: it came to rest at its target without either.
-        first_event: index of the first physics step with a contact or out of bounds.
+        contact, outside: whether the body touched a box; whether its centre left the bounds.
+        arrived: whether it came to rest at its target without either.
+        first_event: index of the first physics step with either, or n if there was none.
     """
 
     contact: Bools
@@ -31,19 +31,19 @@ class Slot:
 
     @property
     def crashed(self) -> Bools:
-        """Contact or out of bounds."""
+        """Returns whether the body touched a box or left the bounds."""
         return self.contact | self.outside
 
 
 @compiled
 def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
-    """Add to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
+    """Adds to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
     radius, boxes = world.radius[w, 0], world.boxes[w]
     low, high = path[0].copy(), path[0].copy()
     for s in range(1, len(path)):
         for k in range(3):
             low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
-    for b in range(len(boxes)):  # by index: iteration forgets that boxes are contiguous
+    for b in range(len(boxes)):  # iteration would forget that boxes are contiguous
         near = True
         for k in range(3):
             near = near and low[k] - radius <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + radius
@@ -54,7 +54,7 @@ def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
 
 @compiled
 def is_outside(bounds: Array, point: Array, tolerance: float) -> bool:
-    """Whether a point lies outside the bounds (2, 3) by more than `tolerance`."""
+    """Returns whether a point lies outside the bounds (2, 3) by more than `tolerance` metres."""
     for k in range(3):
         if point[k] < bounds[0, k] - tolerance or point[k] > bounds[1, k] + tolerance:
             return True
@@ -63,9 +63,9 @@ def is_outside(bounds: Array, point: Array, tolerance: float) -> bool:
 
 @compiled
 def event_rows(world: World, path: Array, tolerance: float, touch: Bools, outside: Bools) -> None:
-    """Contact and leaving the bounds, each (N, n), on paths (N, n + 1, 3) from the slot's start.
+    """Compiled loop of `contacts` and `leaves_bounds` over N paths (n + 1, 3).
 
-    `touch` comes in as what was sensed. See `flight.contacts`, `flight.leaves_bounds`.
+    `touch` (N, n) comes in as what was sensed; `outside` (N, n) is written.
     """
     for i in range(len(path)):
         w = scene_of(world, i)
@@ -75,14 +75,14 @@ def event_rows(world: World, path: Array, tolerance: float, touch: Bools, outsid
 
 
 def contacts(world: World, path: Array, sensed: Bools) -> Bools:
-    """Which physics steps touch an obstacle: sensed by MuJoCo, or swept over by the body.
+    """Returns which physics steps touch an obstacle: sensed by MuJoCo, or swept by the body.
 
-    The sensor describes the state before a step and can miss a graze between two states; the
-    sweep is the exact distance of the straight piece between two states to every box.
+    The sensor tells of the state before a step and can miss a graze between two states. The sweep
+    is the exact distance between the straight piece from state to state and every box.
 
     Args:
         path: (N, n + 1, 3), positions at the slot's start and after each physics step.
-        sensed: (N, n), the contact sensor after each step.
+        sensed: (N, n), MuJoCo's contact sensor after each step.
 
     Returns:
         (N, n) booleans.
@@ -91,7 +91,7 @@ def contacts(world: World, path: Array, sensed: Bools) -> Bools:
 
 
 def leaves_bounds(world: World, path: Array) -> Bools:
-    """Which positions (N, n, 3) lie outside the bounds, inclusive with 1e-6 m. Shape (N, n)."""
+    """Returns which positions (N, n, 3) lie outside the bounds by more than 1e-6 m, (N, n)."""
     whole = np.concatenate([path[:, :1], path], axis=1)
     return _events(world, whole, np.zeros(path.shape[:2], dtype=bool))[1]
 
@@ -99,7 +99,7 @@ def leaves_bounds(world: World, path: Array) -> Bools:
 def _events(
     world: World, path: Array, sensed: Bools, margin: float = BOUNDS_TOLERANCE
 ) -> tuple[Bools, Bools]:
-    """`contacts` and `leaves_bounds` of a path (N, n + 1, 3)."""
+    """Returns `contacts`, and `leaves_bounds` by more than `margin` m, of paths (N, n + 1, 3)."""
     touch, outside = sensed.copy(), np.empty(sensed.shape, dtype=bool)
     event_rows(world, plain(path), margin, touch, outside)
     return touch, outside
@@ -109,11 +109,11 @@ def judge(
     world: World, start: Array, path: Array, sensed: Bools, stop: Bools,
     margin: float = BOUNDS_TOLERANCE,
 ) -> Slot:  # fmt: skip
-    """Judge a slot from its physics steps.
+    """Judges a slot from its physics steps.
 
     Args:
-        start: (N, 3) position at the slot's start. path: (N, n, 3) positions after each step.
-        sensed: (N, n) contact sensor after each step. stop: (N,) whether it flew the stop.
+        start: (N, 3), positions at the slot's start. path: (N, n, 3), after each step.
+        sensed: (N, n), contact sensor after each step. stop: (N,), whether it flew the stop.
         margin: metres beyond the bounds that are still inside.
     """
     whole = np.concatenate([start[:, None], path], axis=1)

@@ -1,8 +1,8 @@
-"""What a flight was not planned for: wind, gusts, actuator errors, position noise, moving boxes.
+"""Disturbs flights by wind, gusts, actuator errors, position noise and moving boxes.
 
-Wind, gusts and actuator errors act on the acceleration of every physics step, so they are a change
-of MuJoCo's controls: an acceleration of the air's is the same as one of the rotors'. The body is
-that of the undisturbed task; only its controls and what it is told of its position change.
+Wind, gusts and actuator errors change the acceleration of every physics step, and so MuJoCo's
+controls: whether the air or the rotors accelerate the body is the same. The body is that of the
+undisturbed task; only its controls and its observed position change.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from mjcollect.flight.moving_boxes import MovingBoxes
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools
 
-GUST_SECONDS = 1.0  # in which a gust's memory falls to 1/e
-REST_SPEED = 2.0  # m/s: below it a disturbed stop within the tolerance counts as one
-MARGIN = 5.0  # metres beyond the bounds that are still inside: the depot may lie in their corner
+GUST_SECONDS = 1.0  # The correlation of gusts falls to 1/e in this time.
+REST_SPEED = 2.0  # m/s; a disturbed body that is slower within the tolerance has come to rest
+MARGIN = 5.0  # metres beyond the bounds that are still inside, since a corner may hold the depot
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """How strong; all zero: none.
+    """Says how strong disturbances are; all zero means that there are none.
 
     Raises:
         ValueError: a field is negative or not finite, or `gain` is not below 1.
     """
 
     wind: float = 0.0
-    """m/s^2: steady horizontal acceleration by the wind, of a direction drawn for each episode."""
+    """Wind accelerates the body by this (m/s^2), level, in a direction drawn for each episode."""
     gusts: float = 0.0
-    """m/s^2: standard deviation of an acceleration that wanders along each axis."""
+    """Gusts accelerate it by this (m/s^2, standard deviation), wandering along each axis."""
     gain: float = 0.0
-    """Share by which the acceleration flown is above or below the command, drawn by episode."""
+    """The acceleration flown is this share above or below the command, as each episode draws."""
     delay: float = 0.0
-    """s by which commands come late, in whole physics steps and at most a slot."""
+    """Commands come this late (s), in whole physics steps and at most a slot."""
     noise: float = 0.0
-    """m: standard deviation of the error of each slot's observed position, along each axis."""
+    """Each slot's observed position errs by this (m, standard deviation) along each axis."""
     mover: float = 0.0
-    """m/s: speed of a box that goes to and fro across the way."""
+    """A box moves to and fro across the way at this speed (m/s)."""
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Checks the ranges."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < (1.0 if field.name == "gain" else math.inf):
@@ -55,7 +55,7 @@ class Disturbance:
 
 
 class Disturbances:
-    """The disturbances of N simulations."""
+    """Draws and applies the disturbances of N simulations."""
 
     def __init__(
         self,
@@ -66,22 +66,22 @@ class Disturbances:
         vary: bool = False,
         calm: Bools | None = None,
     ) -> None:
-        """Prepare for `count` simulations.
+        """Prepares for `count` simulations.
 
         Args:
-            level: how strong. vary: it is the greatest; each episode draws a share of it, uniform
-                in [0, 1], of every kind by itself. calm: (N,) where nothing disturbs.
+            level: how strong disturbances are. vary: `level` is the greatest; for every kind, each
+                episode draws a share of it, uniform in [0, 1]. calm: (N,) where nothing disturbs.
         """
         self.level, self.count, self.rng, self.vary = level, count, rng, vary
         self.calm = np.zeros(count, dtype=bool) if calm is None else calm
         self._wind, self._gusts = np.zeros((count, 3)), np.zeros((count, 3))
         self._strength, self._gain = np.zeros((count, 1)), np.ones((count, 1))
         self._late, self._noise = np.zeros(count), np.zeros((count, 1))
-        self._before = np.zeros((count, 3))  # the last command
+        self._before = np.zeros((count, 3))  # the commands of the slot before
         self.movers = MovingBoxes(count)
 
     def begin(self, which: NDArray[np.intp], start: Array, goal: Array) -> None:
-        """Draw anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
+        """Draws anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
         level, n = self.level, len(which)
         share = (self.rng.random((6, n)) if self.vary else np.ones((6, n))) * ~self.calm[which]
         angle, sign = 2 * np.pi * self.rng.random(n), self.rng.choice([-1.0, 1.0], n)
@@ -97,9 +97,9 @@ class Disturbances:
             self.movers.begin(which, start, goal, level.mover * share[5], self.rng)
 
     def controls(self, world: World, command: Array) -> Array:
-        """Accelerations (N, n, 3) in m/s^2 of a slot's physics steps, for commands (N, 3).
+        """Returns accelerations (N, n, 3) in m/s^2 of a slot's physics steps for commands (N, 3).
 
-        Commands beyond a_max, as a speed beyond v_max may ask for, are cut to it.
+        Commands beyond a_max, which a speed beyond v_max may need, are shortened to it.
         """
         n = world.substeps
         size = np.linalg.norm(command, axis=1, keepdims=True)
@@ -116,19 +116,19 @@ class Disturbances:
         return np.asarray(flown)
 
     def seen(self, q: Array, which: NDArray[np.intp] | None = None) -> Array:
-        """Observed positions for true ones (n, 3) of the simulations `which`; None: all."""
+        """Returns observed positions for true ones (n, 3) of the simulations `which`, or of all."""
         noise = self._noise if which is None else self._noise[which]
         return np.asarray(q + noise * self.rng.standard_normal(q.shape))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the level."""
+        """Returns all of the state but the level."""
         arrays = {name: value.tolist() for name, value in vars(self).items() if name[0] == "_"}
         return {
             **arrays, "movers": self.movers.state_dict(), "rng": self.rng.bit_generator.state,
         }  # fmt: skip
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state of `state_dict`."""
         self.rng.bit_generator.state = state["rng"]
         self.movers.load_state_dict(state["movers"])
         for name, value in state.items():

@@ -1,4 +1,4 @@
-"""The projection: raw actions become accelerations within both limits, eq. (2)-(3)."""
+"""Projects raw actions to accelerations within both limits, eq. (2)-(3)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from mjcollect.geometry.vectors import into_ball
 
 @compiled
 def project_row(world: World, w: int, v: Array, action: Array, a: Array) -> None:
-    """See `flight.project`."""
+    """Writes to `a` (3,) the `project` of one action, in scene `w` of the world."""
     a_max, v_max = world.a_max[w, 0], world.v_max[w, 0]
     for k in range(3):
         raw = action[k] if math.isfinite(action[k]) else 0.0
-        a[k] = min(max(raw, -1e100), 1e100) * a_max  # its square must not overflow
+        a[k] = min(max(raw, -1e100), 1e100) * a_max  # so that its square cannot overflow
     into_ball(a, a_max)
     for k in range(3):
         a[k] = v[k] + a[k] * world.slot
@@ -28,19 +28,19 @@ def project_row(world: World, w: int, v: Array, action: Array, a: Array) -> None
 
 @compiled
 def project_rows(world: World, v: Array, action: Array, a: Array) -> None:
-    """See `flight.project`."""
+    """Compiled loop of `project` over N simulations, which writes to `a` (N, 3)."""
     for i in range(len(v)):
         project_row(world, scene_of(world, i), v[i], action[i], a[i])
 
 
 def project(world: World, v: Array, action: Array) -> Array:
-    """Feasible acceleration nearest in spirit to a raw action, eq. (2)-(3).
+    """Returns the feasible accelerations that raw actions stand for, eq. (2)-(3).
 
-    The action is scaled into the a_max ball, then v + a slot into the v_max ball. Because
-    |v| <= v_max, the second step only shortens the change of velocity: both limits hold.
+    The action is shortened into the a_max ball, then v + a slot into the v_max ball. Because
+    |v| <= v_max, the second step only shortens the change of velocity, so both limits hold.
 
     Args:
-        v: (N, 3) m/s, |v| <= v_max. action: (N, 3), 1 = a_max along an axis; not finite counts 0.
+        v: (N, 3) m/s, |v| <= v_max. action: (N, 3), in units of a_max; what is not finite counts 0.
 
     Returns:
         (N, 3) accelerations in m/s^2.

@@ -1,11 +1,11 @@
-"""The shield: a command is flown only if a way to stop without touching anything is left after it.
+"""Shields flights: a command is flown only if it leaves a way to stop without touching anything.
 
 A backup is a manoeuvre known to be free: the last command held for some more slots, then full
-braking in a straight line. A command is allowed if after its slot some backup is free. If it is
-not, it is bent towards braking; if nothing bent is allowed either, the backup of the slot before
-is flown, which was free then and still is. So from rest, or from any state whose braking is free,
-no undisturbed flight ever touches a box or leaves the bounds: model predictive shielding (Bastani
-2019; Li and Bastani 2020).
+braking in a straight line. A command is allowed if some backup is free after its slot. If none is,
+the command is bent towards braking. If nothing bent is allowed either, the backup of the slot
+before is flown, which was free then and still is. So from rest, or from any state whose braking is
+free, no undisturbed flight ever touches a box or leaves the bounds. This is model predictive
+shielding (Bastani 2019; Li and Bastani 2020).
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from mjcollect.geometry.boxes import box_offset, segment_gap, slab
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.vectors import norm
 
-OUTSIDE = 1e-6  # metres beyond a bound to which undisturbed flights keep
-HAIR = 1e-6  # metres kept from boxes beyond the body's radius: rounding is far less
-HELD = (0, 2, 4, 8)  # slots for which a command is held in a backup, before braking
-BENT = (0.75, 0.5, 0.25)  # shares of a command beside full braking that are tried in turn
+OUTSIDE = 1e-6  # metres; rounding leads undisturbed flights no farther beyond a bound
+MARGIN = 1e-6  # metres kept from boxes beyond the body's radius; rounding errors are far smaller
+HELD = (0, 2, 4, 8)  # A backup holds a command for so many slots before it brakes.
+BENT = (0.75, 0.5, 0.25)  # These shares of a command, else full braking, are tried in turn.
 
 
 @compiled
 def braking_row(world: World, w: int, v: Array, a: Array) -> None:
-    """Full braking: `a` (3,) in m/s^2 against the velocity, to rest within the slot if it can."""
+    """Writes full braking to `a` (3,) in m/s^2: a_max, or less if that is rest within the slot."""
     speed = norm(v)
     size = min(world.a_max[w, 0], speed / world.slot) / max(speed, 1e-12)
     for k in range(3):
@@ -35,15 +35,16 @@ def braking_row(world: World, w: int, v: Array, a: Array) -> None:
 
 @compiled
 def roll_row(world: World, w: int, q: Array, v: Array, a: Array, more: int, path: Array) -> int:
-    """Points of `path` (..., 3) of a slot of `a`, `more` slots of it held, and full braking.
+    """Writes to `path` (..., 3) a slot of `a`, `more` slots of it held, and full braking.
 
-    The physics steps as MuJoCo makes them; braking as one straight piece, never shorter than it is.
+    Returns the number of points: MuJoCo's physics steps, and one for braking, which is a straight
+    piece that is never shorter than it would be flown.
     """
     slot, step, count = world.slot, world.step, 1
     at, now, held, raw = q.copy(), v.copy(), a.copy(), np.empty(3)
     path[0] = q
     for s in range(more + 1):
-        if s > 0:  # a held command is projected anew, since it must not exceed v_max
+        if s > 0:  # a held command is projected anew, to keep to v_max
             for k in range(3):
                 raw[k] = a[k] / world.a_max[w, 0]
             project_row(world, w, now, raw, held)
@@ -54,7 +55,7 @@ def roll_row(world: World, w: int, q: Array, v: Array, a: Array, more: int, path
         for k in range(3):
             at[k] = path[count - 1, k]
             now[k] += held[k] * slot
-    # Braking ends with a slot of which only a part is needed: that takes longer, and farther.
+    # Of the last slot of braking only a part is needed: that takes longer and leads farther.
     speed, a_max = norm(now), world.a_max[w, 0]
     part = speed / (a_max * slot) % 1.0
     reach = speed / (2 * a_max) + part * (1.0 - part) * a_max * slot**2 / 2 / max(speed, 1e-9)
@@ -65,43 +66,43 @@ def roll_row(world: World, w: int, q: Array, v: Array, a: Array, more: int, path
 
 @compiled
 def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -> bool:
-    """Whether the first `count` points of a path from q keep to the bounds and clear of boxes."""
+    """Returns whether `count` points of a path from q stay within bounds and clear of boxes."""
     boxes, bounds, radius = world.boxes[w], world.bounds[w], world.radius[w, 0]
     low, high, last, offset = path[0].copy(), path[0].copy(), np.empty(3), np.empty(3)
     for k in range(3):
         for p in range(1, count - 1):
             low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
         least, most = bounds[0, k], bounds[1, k]
-        if least - q[k] > OUTSIDE:  # blown over a bound: no farther than within a slot
+        if least - q[k] > OUTSIDE:  # Blown over a bound, it may go on for one slot.
             least = q[k] + min(v[k], 0.0) * world.slot
         if q[k] - most > OUTSIDE:
             most = q[k] + max(v[k], 0.0) * world.slot
-        # Outside by rounding: no farther, or nothing would ever be allowed from there.
+        # Outside by rounding it may go no farther; nothing would be allowed if it had to be inside.
         least, most = min(least, q[k]), max(most, q[k])
         end = path[count - 1, k]
         if min(low[k], end) < least or max(high[k], end) > most:
             return False
         last[k] = end - path[count - 2, k]
     for b in range(len(boxes)):
-        room, near = radius + HAIR, True
+        reach, near = radius + MARGIN, True
         for k in range(3):
-            near = near and low[k] - room <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + room
+            near = near and low[k] - reach <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + reach
         if not near:
-            enter, leave = slab(path[count - 2], last, boxes[b], room, 1e-12)
+            enter, leave = slab(path[count - 2], last, boxes[b], reach, 1e-12)
             near = enter <= leave and leave >= 0.0 and enter <= 1.0
         if near:
-            # Nearer than that already, as at a start: no nearer, and away at once.
+            # A body nearer than that, as at a start, must come no nearer and be away after a step.
             here = box_offset(q, boxes[b], offset)
             for p in range(1, count):
-                gap = segment_gap(path[p - 1], path[p], boxes[b])
-                if gap < (min(room, here) if p == 1 else room):
+                distance = segment_gap(path[p - 1], path[p], boxes[b])
+                if distance < (min(reach, here) if p == 1 else reach):
                     return False
     return True
 
 
 @compiled
 def backup_row(world: World, w: int, q: Array, v: Array, a: Array, path: Array) -> int:
-    """Slots for which `a` is held in a free backup after its slot; -1 where there is none."""
+    """Returns for how many slots a free backup holds `a` after its slot; -1 if none is free."""
     for more in HELD:
         count = roll_row(world, w, q, v, a, more, path)
         if is_free(world, w, q, v, path, count):
@@ -113,11 +114,11 @@ def backup_row(world: World, w: int, q: Array, v: Array, a: Array, path: Array) 
 def shield_row(
     world: World, w: int, q: Array, v: Array, a: Array, held: Array, path: Array, left: int
 ) -> tuple[int, bool]:
-    """Bend the command `a` (3,) until a backup is free after it.
+    """Bends the command `a` (3,) until a backup is free after it.
 
     Args:
-        held: (3,) the command of the backup so far, which is for `left` slots more; set anew.
-        path: room for the points of a backup.
+        held: (3,), the command that the backup so far holds for `left` slots more; written anew.
+        path: memory for the points of a backup.
 
     Returns:
         The slots of the new backup, and whether the command was changed.
@@ -152,7 +153,7 @@ def shield_rows(
     world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
     acted: Bools,
 ) -> None:  # fmt: skip
-    """See `flight.shield`."""
+    """Compiled loop of `shield` over N simulations."""
     path = np.empty((world.substeps * (max(HELD) + 1) + 2, 3))
     for i in range(len(v)):
         before = stop[i]
@@ -166,12 +167,12 @@ def shield(
     world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
     acted: Bools,
 ) -> None:  # fmt: skip
-    """Bend commands that leave no way to stop without touching anything, see `kernels.shield`.
+    """Bends commands that leave no way to stop without touching anything.
 
     Args:
-        q, v: (N, 3). a: (N, 3) m/s^2, feasible commands; changed where the shield acts.
-        stop: (N,) whether they are the stop that collects; cleared where the shield acts.
-        held, left: (N, 3), (N,) the backup of the slot before, and that of this one afterwards.
-        acted: (N,) set to whether the command was changed.
+        q, v: (N, 3). a: (N, 3) in m/s^2, feasible commands; changed where the shield acts.
+        stop: (N,), whether they are the stop that collects; cleared where the shield acts.
+        held, left: (N, 3), (N,), the backup of the slot before; overwritten with that of this one.
+        acted: (N,), written: whether the command was changed.
     """
     shield_rows(world, plain(q), plain(v), a, stop, held, left, acted)

@@ -1,4 +1,4 @@
-"""The scene constants that the rules of flight read, stacked over simulations."""
+"""Stacks over simulations the scene constants that the rules of flight read."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from mjcollect.scene.scene import Scene
 
 
 class World(NamedTuple):
-    """Scene constants stacked over simulations. The leading axis is N, or 1 where all share one.
+    """Holds scene constants stacked over simulations, N of them or 1 that all share.
 
     Attributes:
-        bounds: (N, 2, 3) m. boxes: (N, M, 2, 3) m, padded with boxes infinitely far away.
+        bounds: (N, 2, 3) m. boxes: (N, M, 2, 3) m, padded with `EMPTY_BOX`.
         v_max, a_max, radius: (N, 1) in m/s, m/s^2, m.
         slot, step: seconds of a slot and of a physics step, the same for all simulations.
         substeps: physics steps in a slot, n.
@@ -34,10 +34,10 @@ class World(NamedTuple):
 
     @classmethod
     def stack(cls, scenes: Sequence[Scene]) -> World:
-        """Stack one scene per simulation, or a single one shared by all.
+        """Stacks one scene per simulation, or a single one that all share.
 
         Raises:
-            ValueError: scenes disagree on `slot` or `physics_step`.
+            ValueError: the scenes disagree on `slot` or `physics_step`.
         """
         first = scenes[0]
         for scene in scenes:
@@ -67,7 +67,7 @@ class World(NamedTuple):
         )
 
     def rows(self, which: NDArray[np.intp]) -> World:
-        """The constants of the simulations `which` (n,) only."""
+        """Returns the constants of the simulations `which` (n,) only."""
         if len(self.bounds) == 1:
             return self
         return self._replace(
@@ -81,5 +81,5 @@ class World(NamedTuple):
 
 @compiled
 def scene_of(world: World, i: int) -> int:
-    """Index of simulation i's scene in the world."""
+    """Returns the index of simulation i's scene in the world."""
     return i if len(world.bounds) > 1 else 0

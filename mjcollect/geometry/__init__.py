@@ -1,1 +1,1 @@
-"""Points, segments, boxes, polylines and grids. Arrays in, arrays out; knows no scene."""
+"""This room computes with points, segments, boxes, polylines and grids, all given as arrays."""

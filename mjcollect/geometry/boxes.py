@@ -1,8 +1,8 @@
-"""Distances between points, segments and axis-aligned boxes.
+"""Computes distances between points, segments and axis-aligned boxes.
 
-Boxes are arrays (..., 2, 3): minimum corner, maximum corner, in metres. A padding box lies `FAR`
-away from everything, see `EMPTY_BOX`. What is compiled works on one row; the functions below it are
-vectorised over leading axes.
+A box is an array (..., 2, 3) of its minimum and maximum corner, in metres. `EMPTY_BOX` pads arrays
+of scenes with fewer boxes. Compiled functions take one point or segment at a time; the functions
+below them are vectorised over leading axes.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain, rows
 from mjcollect.geometry.vectors import norm
 
-FAR = 1e9  # metres; where padding boxes are put: finite, so that no inf - inf appears
+FAR = 1e9  # Padding boxes lie this many metres away: finite, so that no inf - inf appears.
 EMPTY_BOX = np.full((2, 3), FAR)
 
 
 @compiled
 def box_offset(point: Array, box: Array, offset: Array) -> float:
-    """Distance to a box; `offset` becomes the vector to its nearest point."""
+    """Returns the distance (m) to a box; writes the vector to its nearest point to `offset`."""
     for k in range(3):
         offset[k] = min(max(point[k], box[0, k]), box[1, k]) - point[k]
     return norm(offset)
@@ -29,9 +29,9 @@ def box_offset(point: Array, box: Array, offset: Array) -> float:
 
 @compiled
 def slab(start: Array, step: Array, box: Array, grow: float, tiny: float) -> tuple[float, float]:
-    """Where the line start + t step enters and leaves a box grown by `grow`: enter > leave if not.
+    """Returns where (t) the line start + t step enters and leaves a box grown by `grow` metres.
 
-    Components of `step` smaller than `tiny` count as `tiny`.
+    The line misses the box if enter > leave. Components of `step` smaller than `tiny` count as it.
     """
     enter, leave = -np.inf, np.inf
     for k in range(3):
@@ -44,7 +44,7 @@ def slab(start: Array, step: Array, box: Array, grow: float, tiny: float) -> tup
 
 @compiled
 def box_slope(start: Array, end: Array, box: Array, t: float) -> float:
-    """Half the derivative by t of the squared distance of start + t (end - start) to a box."""
+    """Returns half of d/dt of the squared distance of start + t (end - start) to a box."""
     slope = 0.0
     for k in range(3):
         at = start[k] + t * (end[k] - start[k])
@@ -54,10 +54,10 @@ def box_slope(start: Array, end: Array, box: Array, t: float) -> float:
 
 @compiled
 def segment_gap(start: Array, end: Array, box: Array) -> float:
-    """Exact distance between a segment and a box.
+    """Returns the exact distance in metres between a segment and a box; zero where they meet.
 
-    The squared distance is convex and its derivative linear between the faces' planes: it changes
-    sign between the last plane with a falling slope and the first with a rising one.
+    The squared distance is convex, and its derivative is linear between the planes of the faces:
+    it changes sign between the last plane with a falling slope and the first with a rising one.
     """
     left, right = 0.0, 1.0
     falling, rising = box_slope(start, end, box, left), box_slope(start, end, box, right)
@@ -86,14 +86,14 @@ def segment_gap(start: Array, end: Array, box: Array) -> float:
 
 @compiled
 def segment_gaps(start: Array, end: Array, boxes: Array, gap: Array) -> None:
-    """`segment_gap` of each of (n,) pairs of a segment and a box."""
+    """Writes to `gap` (n,) the `segment_gap` of each of n pairs of a segment and a box."""
     for i in range(len(start)):
         gap[i] = segment_gap(start[i], end[i], boxes[i])
 
 
 @compiled
 def segments_clear(start: Array, end: Array, boxes: Array, radius: float, clear: Bools) -> None:
-    """Whether (n,) segments keep `radius` from all of the boxes (M, 2, 3)."""
+    """Writes to `clear` (n,) whether each segment keeps `radius` m from every box (M, 2, 3)."""
     for i in range(len(start)):
         clear[i] = True
         for b in range(len(boxes)):
@@ -104,7 +104,7 @@ def segments_clear(start: Array, end: Array, boxes: Array, radius: float, clear:
 
 @compiled
 def in_sight(boxes: Array, q: Array, offset: Array) -> bool:
-    """Whether the straight line to the point `offset` away misses every box (M, 2, 3)."""
+    """Returns whether the segment from q (3,) to q + offset misses every box (M, 2, 3)."""
     for b in range(len(boxes)):
         enter, leave = slab(q, offset, boxes[b], 0.0, 1e-12)
         if enter <= leave and leave >= 0.0 and enter <= 1.0:
@@ -114,7 +114,10 @@ def in_sight(boxes: Array, q: Array, offset: Array) -> bool:
 
 @compiled
 def free_way(boxes: Array, grow: float, q: Array, direction: Array) -> float:
-    """Metres along `direction` to the first box grown by `grow`; from inside one, it is free."""
+    """Returns the metres from q along `direction` to the first box grown by `grow`; at most 1e6.
+
+    Grown boxes that q itself lies in do not count.
+    """
     free = 1e6
     for b in range(len(boxes)):
         enter, leave = slab(q, direction, boxes[b], grow, 1e-9)
@@ -124,7 +127,7 @@ def free_way(boxes: Array, grow: float, q: Array, direction: Array) -> float:
 
 
 def nearest_point_offset(points: Array, boxes: Array) -> Array:
-    """Vector from each point to the nearest point of each box; zero inside.
+    """Returns the vector from each point to the nearest point of each box; zero inside.
 
     Args:
         points: (..., 3). boxes: broadcastable (..., 2, 3).
@@ -137,12 +140,12 @@ def nearest_point_offset(points: Array, boxes: Array) -> Array:
 
 
 def point_box_distance(points: Array, boxes: Array) -> Array:
-    """Euclidean distance from points (..., 3) to boxes (..., 2, 3); zero inside. Shape (...)."""
+    """Returns the distances (...) in m of points (..., 3) from boxes (..., 2, 3); zero inside."""
     return np.asarray(np.linalg.norm(nearest_point_offset(points, boxes), axis=-1))
 
 
 def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
-    """Exact distance between segments and boxes; zero where they meet.
+    """Returns the exact distance between segments and boxes; zero where they meet.
 
     Args:
         start, end: (..., 3). boxes: broadcastable (..., 2, 3).
@@ -162,13 +165,13 @@ def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
 
 
 def inflate(boxes: Array, margin: float | Array) -> Array:
-    """Boxes (..., 2, 3) grown by `margin` metres on every side."""
+    """Returns boxes (..., 2, 3) grown by `margin` metres on every side."""
     grow = np.asarray(margin, dtype=np.float64)[..., None]
     return np.stack([boxes[..., 0, :] - grow, boxes[..., 1, :] + grow], axis=-2)
 
 
 def segment_clear(start: Array, end: Array, boxes: Array, radius: float) -> NDArray[np.bool_]:
-    """Whether a body of `radius` metres flies each straight segment without touching any box.
+    """Returns whether a body of `radius` metres flies each segment without touching any box.
 
     Args:
         start, end: (..., 3). boxes: (M, 2, 3).

@@ -1,7 +1,7 @@
-"""How kernels are compiled and cached, and the arrays that they are compiled for.
+"""Compiles functions with numba, caches them, and names the arrays that they are compiled for.
 
-Numba's cache goes by the content of the file that a function is written in, and does not notice
-that a function it calls has changed in another. So machine code is cached in a folder called by
+Numba's cache goes by the content of the file in which a function is written; it does not notice
+that a function it calls has changed in another file. So machine code is cached in a folder named by
 a digest of all files of the package with compiled functions: another version never finds it.
 """
 
@@ -29,32 +29,32 @@ _settings: Any = numba.config  # read when a function is decorated
 
 
 def compiled(function: F, **options: Any) -> F:
-    """Compile at the first call, cached on disk where there is a folder that can be written.
+    """Compiles a function at its first call, and caches it on disk where a folder can be written.
 
-    Without fast-math, unless `options` for numba.njit ask for it: the same operations in the same
-    order, so the same bits. Divisions by zero give inf or NaN. The function may call, and read
-    constants of, files of the package that hold compiled functions, and its own: others are not in
-    the digest.
+    Fast-math is off unless `options` for numba.njit ask for it: the same operations in the same
+    order give the same bits. Divisions by zero give inf or NaN. The function may use functions and
+    constants of its own file and of the package's other files with compiled functions only: the
+    digest does not cover any more.
     """
     options = {"nogil": True, "error_model": "numpy", **options}
     for folder in cache_folders(inspect.getfile(function)):
         try:
             with _caching_in(folder):
                 return cast(F, numba.njit(cache=True, **options)(function))
-        except RuntimeError:  # it cannot be written
+        except RuntimeError:  # the folder cannot be written
             continue
     return cast(F, numba.njit(**options)(function))  # compiled anew in every process
 
 
 @cache
 def cache_folders(file: str) -> tuple[Path, ...]:
-    """Where the machine code of a file's kernels may be cached, to be tried in this order.
+    """Returns the folders for the machine code of a file's functions, to be tried in this order.
 
-    Below NUMBA_CACHE_DIR if that is set; else next to the package or in the user's cache.
+    They lie below NUMBA_CACHE_DIR if that is set, else next to the package or in the user's cache.
     """
     try:
         name = "mjcollect-" + digest({*_files_with_kernels(), Path(file)})
-    except OSError:  # not from a file, as at a prompt
+    except OSError:  # the function stands in no file, as at a prompt
         return ()
     if _settings.CACHE_DIR:
         return (Path(_settings.CACHE_DIR) / name,)
@@ -66,10 +66,10 @@ def _files_with_kernels() -> list[Path]:
 
 
 def digest(sources: Iterable[Path]) -> str:
-    """Of the names and the content of some files, in any order.
+    """Returns a hash of the names and contents of some files, whatever their order.
 
     Raises:
-        OSError: one cannot be read.
+        OSError: a file cannot be read.
     """
     whole = hashlib.sha256()
     for path in sorted(sources):
@@ -79,7 +79,7 @@ def digest(sources: Iterable[Path]) -> str:
 
 @contextmanager
 def _caching_in(folder: Path) -> Iterator[None]:
-    """Numba's cache is in `folder`, and nowhere else, for what is decorated meanwhile."""
+    """Has numba cache in `folder`, and nowhere else, the functions that are decorated meanwhile."""
     before = _settings.CACHE_DIR, _settings.CACHE_LOCATOR_CLASSES
     _settings.CACHE_DIR = str(folder)
     _settings.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"
@@ -90,12 +90,12 @@ def _caching_in(folder: Path) -> Iterator[None]:
 
 
 def plain(values: Any) -> Array:
-    """Contiguous and writable float64: anything else would be compiled for once more."""
+    """Returns contiguous, writable float64, since any other array would be compiled for anew."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     return array if array.flags.writeable else array.copy()
 
 
 def rows(values: Array, leading: tuple[int, ...], row: tuple[int, ...]) -> Array:
-    """Broadcast to shape (*leading, *row), then flat over the leading axes, as `plain` has it."""
+    """Returns values broadcast to (*leading, *row), flat over the leading axes, and `plain`."""
     whole = values if values.shape == leading + row else np.broadcast_to(values, leading + row)
     return plain(whole).reshape(-1, *row)

@@ -1,4 +1,4 @@
-"""Which nodes of a scene are walled in: refused only on proof, never on a grid's evidence alone.
+"""Finds the nodes of a scene that are walled in: by proof, never on a grid's evidence alone.
 
 A conservative grid, on which every free cell is free throughout, shows nearly every node to be
 reachable. For the rest, space is cut exactly at the faces of boxes that lie inside the forbidden
@@ -18,23 +18,23 @@ from mjcollect.geometry.boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.occupancy import Mask, blocked_grid
 
-_DEPOT = -1
-_GRIDS = (50, 100, 200)  # cells along the longest side of the bounds, tried in turn
-_LOOKS = 100  # nearby free cells that a node between blocked ones looks for
-_MAX_CELLS = 4_000_000  # of an exact decomposition; about half a second
-_MANY_BOXES = 78  # two lines a box and axis: as many fit for certain
-_GROWTH = 3.0  # from one window of the proof to the next
-_WIDEST = 0.1  # of the bounds: half the side of an item's last window
-# Which axes a box is grown along, by radius / sqrt(their number): each such box lies within
-# `radius` of the original.
+_DEPOT = -1  # This node is the depot, as in `scene.order`, which this room cannot import.
+_GRIDS = (50, 100, 200)  # Grids of so many cells along the bounds' longest side are tried in turn.
+_LOOKS = 100  # A node between blocked cells is tried with this many of the nearest free ones.
+_MAX_CELLS = 4_000_000  # An exact decomposition has no more cells: so many take half a second.
+_MANY_BOXES = 78  # So many boxes, with two lines a box and axis, always stay below _MAX_CELLS.
+_GROWTH = 3.0  # Each window of the proof is this many times as wide as the one before.
+_WIDEST = 0.1  # An item's windows have half sides below this share of the bounds' longest.
+# A box is grown along each of these sets of axes, by radius / sqrt(their number): each box so grown
+# lies within `radius` of the original.
 _ALL_SUBSETS = np.array([axes for axes in product((0.0, 1.0), repeat=3) if any(axes)])
 _ONE_SUBSET = np.ones((1, 3))
-# A gap of exactly the body's width can be passed: grow by a hair less.
-_HAIR = 1e-6
+# Boxes are grown by this share less, since a gap of exactly the body's width can be passed.
+_MARGIN = 1e-6
 
 
 class Space(NamedTuple):
-    """What a scene's nodes stand in, see `scene.Scene`; node -1 is the depot.
+    """Holds what is needed of a scene, see `scene.scene.Scene`; node -1 is the depot.
 
     Attributes:
         bounds: (2, 3) m. obstacles: (M, 2, 3) m. uav_radius: m. depot: (3,). items: (K, 3).
@@ -50,9 +50,9 @@ class Space(NamedTuple):
 
 
 def walled_in(space: Space) -> list[int]:
-    """Nodes proved to be walled in: items cut off from the depot.
+    """Returns the nodes that are proved to be walled in: items cut off from the depot.
 
-    It is [-1] instead if all are and the depot's is the smaller part of the space.
+    They are [-1] if all items are cut off and the depot's part is less than half of the space.
     """
     suspects = _unconnected(space)
     if not suspects:
@@ -65,11 +65,11 @@ def walled_in(space: Space) -> list[int]:
     return [item for item in suspects if item in cut or _enclosed(space, item)]
 
 
-# Evidence: the grids
+# The evidence: grids
 
 
 def _unconnected(space: Space) -> list[int]:
-    """Items that no grid shows to be connected to the depot."""
+    """Returns the items that no grid shows to be connected to the depot."""
     left = list(range(len(space.items)))
     if len(space.obstacles) == 0:
         return []
@@ -87,7 +87,7 @@ def _unconnected(space: Space) -> list[int]:
 
 
 def _label(free: Mask, *, corners: bool) -> NDArray[np.int32]:
-    """Connected components of the free cells, 0 where blocked; through corners or faces only."""
+    """Numbers connected free parts from 1, blocked cells 0; `corners`: whether corners connect."""
     from scipy import ndimage
 
     structure = ndimage.generate_binary_structure(3, 3 if corners else 1)
@@ -95,10 +95,10 @@ def _label(free: Mask, *, corners: bool) -> NDArray[np.int32]:
 
 
 def _entries(space: Space, node: int, labels: NDArray[np.int32]) -> set[int]:
-    """Components of the grid that can be entered from where the UAV may stand for `node`.
+    """Returns the grid's parts that can be entered from where the UAV may stand for `node`.
 
-    Either a free cell touches the tolerance ball, or the node sees the centre of one nearby. The
-    mission starts at the depot itself: its ball has no extent.
+    Either a free cell touches the tolerance ball, or the way to the centre of one nearby is clear.
+    The mission starts at the depot itself, so the depot's ball has no extent.
     """
     point = space.depot if node == _DEPOT else space.items[node]
     reach = 0.0 if node == _DEPOT else space.epsilon
@@ -120,24 +120,24 @@ def _entries(space: Space, node: int, labels: NDArray[np.int32]) -> set[int]:
     return set(found[nearest][seen].tolist())
 
 
-# Proof: the exact decomposition
+# The proof: an exact decomposition
 
 
 @dataclass(frozen=True)
 class _Pocket:
-    """A union of cells between `lines`, one array per axis."""
+    """A pocket is a union of cells between `lines`, one array of coordinates (m) per axis."""
 
     lines: list[Array]
     cells: Mask
 
     @property
     def volume(self) -> float:
-        """In cubic metres."""
+        """Returns the volume of the cells in cubic metres."""
         x, y, z = (np.diff(line) for line in self.lines)
         return float(np.einsum("ijk,i,j,k", self.cells.astype(float), x, y, z))
 
     def near(self, point: Array, reach: float) -> Mask:
-        """Its closed cells that come within `reach` of a point."""
+        """Returns which of its closed cells come within `reach` metres of a point (3,)."""
         x, y, z = (
             np.maximum(np.maximum(line[:-1] - at, at - line[1:]), 0.0) ** 2
             for line, at in zip(self.lines, point, strict=True)
@@ -146,7 +146,7 @@ class _Pocket:
 
 
 def _home(space: Space) -> _Pocket:
-    """Space around the depot that contains all that can be reached from it."""
+    """Returns the space around the depot that contains all that can be reached from it."""
     half = 2.0 * space.uav_radius
     while True:
         pocket, leaves = _component(space, space.depot, 0.0, half)
@@ -156,9 +156,9 @@ def _home(space: Space) -> _Pocket:
 
 
 def _enclosed(space: Space, item: int) -> bool:
-    """Whether a window around an item proves it cut off.
+    """Returns whether a window around an item proves that it is cut off.
 
-    A small window has few boxes, so their shapes are exact there; cages beyond show in `_home`.
+    A small window has few boxes, so their shapes are exact; `_home` finds larger enclosures.
     """
     half = 2.0 * (space.epsilon + space.uav_radius)
     while half < _WIDEST * np.max(space.bounds[1] - space.bounds[0]):
@@ -170,9 +170,10 @@ def _enclosed(space: Space, item: int) -> bool:
 
 
 def _component(space: Space, point: Array, reach: float, half: float) -> tuple[_Pocket, bool]:
-    """Free space that holds what can be reached from a ball without leaving a window around it.
+    """Returns free space that holds all that can be reached from a ball inside a window around it.
 
-    Closed free cells count as connected where they share a corner, so no path is missed.
+    The ball has the radius `reach`, the window the half side `half`, both in metres. Closed free
+    cells count as connected where they share a corner, so no path is missed.
 
     Returns:
         The space, and whether it touches a side of the window that is not one of the bounds.
@@ -187,7 +188,7 @@ def _component(space: Space, point: Array, reach: float, half: float) -> tuple[_
 
 
 def _leaves(cells: Mask, open_low: Mask, open_high: Mask) -> bool:
-    """Whether cells touch a side of the window that is not a side of the bounds."""
+    """Returns whether cells touch a side of the window that is not a side of the bounds."""
     for axis in range(3):
         layers = np.moveaxis(cells, axis, 0)
         if (open_low[axis] and np.any(layers[0])) or (open_high[axis] and np.any(layers[-1])):
@@ -196,10 +197,10 @@ def _leaves(cells: Mask, open_low: Mask, open_high: Mask) -> bool:
 
 
 def _decompose(space: Space, low: Array, high: Array) -> tuple[list[Array], Mask]:
-    """Lines and free cells of a window.
+    """Returns the lines (m) between a window's cells, and which cells are free.
 
-    Where the cells would be too many, first the boxes' shapes get cruder, then small boxes are
-    left out: both only add free space.
+    Where there would be too many cells, first the boxes' shapes get cruder, then small boxes are
+    left out: both only add free space, so the proof holds.
     """
     near = np.all(
         (space.obstacles[:, 0] - space.uav_radius <= high)
@@ -231,7 +232,7 @@ def _decompose(space: Space, low: Array, high: Array) -> tuple[list[Array], Mask
 
 
 def _inner_boxes(boxes: Array, radius: float, subsets: Array) -> Array:
-    """Boxes (N, 2, 3) inside the set of points closer than `radius` to one of `boxes`."""
-    grow = subsets * radius * (1 - _HAIR) / np.sqrt(subsets.sum(axis=1, keepdims=True))
+    """Returns boxes (N, 2, 3) inside the set of points closer than `radius` to one of `boxes`."""
+    grow = subsets * radius * (1 - _MARGIN) / np.sqrt(subsets.sum(axis=1, keepdims=True))
     grown = np.stack([boxes[:, None, 0] - grow, boxes[:, None, 1] + grow], axis=-2)
     return grown.reshape(-1, 2, 3)

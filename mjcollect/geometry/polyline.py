@@ -1,4 +1,4 @@
-"""Polylines: lengths and places along them, and pulling them tight round boxes."""
+"""Measures polylines, finds places along them, and pulls them tight round boxes."""
 
 from __future__ import annotations
 
@@ -11,36 +11,39 @@ from mjcollect.geometry.compiled import Array
 
 
 def marks(path: Array) -> Array:
-    """Metres along a polyline (P, 3) to each of its points, (P,)."""
+    """Returns the metres (P,) along a polyline (P, 3) to each of its points."""
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(length)])
 
 
 def interpolate(points: Array, at_points: Array, at: float | Array) -> Array:
-    """Points (..., 3) at `at` (...) on a polyline (P, 3) whose points are at `at_points` (P,)."""
+    """Returns the points (..., 3) of a polyline (P, 3) at the parameters `at` (...).
+
+    Its own points have the parameters `at_points` (P,), such as `marks`.
+    """
     return np.stack([np.interp(at, at_points, points[:, axis]) for axis in range(3)], axis=-1)
 
 
 def point_along(path: Array, metres: float | Array) -> Array:
-    """Points (..., 3) at `metres` (...) along a polyline (P, 3), which ends where it ends."""
+    """Returns points (..., 3) at `metres` (...) along a polyline (P, 3), or its end beyond that."""
     return interpolate(path, marks(path), metres)
 
 
 def path_length(points: Array) -> float:
-    """Length in metres of a polyline (P, 3)."""
+    """Returns the length in metres of a polyline (P, 3)."""
     return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Array:
-    """Shorten a free polyline (P, 3) while it keeps `radius` from every box. (P', 3).
+    """Shortens a free polyline (P, 3) to (P', 3) while it keeps `radius` metres from every box.
 
-    Pieces that come closer than that stay as they are.
+    Pieces that come closer than that already stay as they are.
     """
     points = _skip(points, boxes, radius)
     if len(points) == 2:
         return points
-    # Split the pieces so that corners can slide along edges, then pull every inner point towards
-    # the line through its neighbours as far as both pieces stay clear.
+    # Pieces are split so that corners can slide along edges; then every inner point is pulled
+    # towards the line through its neighbours as far as both pieces stay clear.
     points = _split(points)
     for _ in range(rounds):
         before = points.copy()
@@ -52,7 +55,7 @@ def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Arr
 
 
 def _skip(points: Array, boxes: Array, radius: float) -> Array:
-    """Drop the points between each kept one and the farthest that it sees."""
+    """Drops the points between each kept one and the farthest with a clear straight way to it."""
     kept = [0]
     while kept[-1] < len(points) - 1:
         ahead = np.arange(kept[-1] + 1, len(points))

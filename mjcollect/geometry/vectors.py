@@ -1,4 +1,4 @@
-"""Compiled functions of vectors (3,)."""
+"""Computes with vectors (3,), in compiled functions."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from mjcollect.geometry.compiled import Array, compiled
 
 @compiled
 def dot(a: Array, b: Array) -> float:
-    """Scalar product."""
+    """Returns the scalar product of two vectors."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 @compiled
 def norm(a: Array) -> float:
-    """Length."""
+    """Returns the length of a vector."""
     return math.sqrt(dot(a, a))
 
 
 @compiled
 def unit(vector: Array, to: Array) -> float:
-    """Length of a vector; `to` becomes its direction, or zero."""
+    """Returns the length of a vector; writes its direction to `to`, zero if it has none."""
     size = norm(vector)
     for k in range(3):
         to[k] = vector[k] / size if size > 1e-9 else 0.0
@@ -30,7 +30,7 @@ def unit(vector: Array, to: Array) -> float:
 
 @compiled
 def into_ball(vector: Array, radius: float) -> None:
-    """Shorten a vector to `radius`."""
+    """Shortens a vector to `radius` if it is longer."""
     size = norm(vector)
     if size > radius:
         for k in range(3):
@@ -39,7 +39,7 @@ def into_ball(vector: Array, radius: float) -> None:
 
 @compiled
 def from_ball(normal: Array, share: float, vector: Array) -> None:
-    """A point of the unit ball, uniform if `normal` (3,) and `share` come from N(0, 1), U(0, 1)."""
+    """Writes a point of the unit ball to `vector`: uniform for N(0, 1) normals, U(0, 1) shares."""
     size = norm(normal)
     for k in range(3):
         vector[k] = normal[k] / size * share ** (1 / 3)
@@ -47,5 +47,5 @@ def from_ball(normal: Array, share: float, vector: Array) -> None:
 
 @compiled
 def lerp(a: float, b: float, share: float) -> float:
-    """From `a` to `b`."""
+    """Returns the value that lies `share` of the way from `a` to `b`."""
     return a + share * (b - a)

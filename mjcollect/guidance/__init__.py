@@ -1,1 +1,1 @@
-"""The shortest free path to a target from anywhere, and the guidance law that flies it."""
+"""This room finds the shortest free path to a target, and holds the guidance law that flies it."""

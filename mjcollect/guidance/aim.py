@@ -1,4 +1,4 @@
-"""Where in a goal's ball to fly to, and where a body has room."""
+"""Chooses the point of a goal's ball to fly to, and measures the clearance of a body."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from mjcollect.geometry.boxes import point_box_distance
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
-AIM_ROOM = 2.0  # metres wanted between an aim and boxes or bounds
-AIM_SHARE = 0.7  # of the tolerance: how far an aim may lie from its goal
-TURN_SHARE = 0.6  # of the tolerance: how far an aim is moved towards the inside of the tour's turn
+AIM_ROOM = 2.0  # metres of clearance wanted between the body at an aim and boxes or bounds
+AIM_SHARE = 0.7  # An aim lies at most this share of the tolerance from its goal.
+TURN_SHARE = 0.6  # An aim moves by up to this share of the tolerance to the inside of a turn.
 
 
 def choose_aim(
     scene: Scene, goal: Array, tolerance: float, start: Array, next_goal: Array | None
 ) -> Array:
-    """The point (3,) of a goal's ball to fly to.
+    """Returns the aim, the point (3,) of a goal's ball to fly to.
 
-    On a tour, towards the inside of its turn, where the way there and the way on are shortest
-    together, if there is room; else `feasible_aim`.
+    On a tour it lies towards the inside of the tour's turn, where the way there and the way on are
+    shortest together, if there is clearance; else it is the `feasible_aim`.
     """
     if next_goal is not None:
         before, after = goal - start, next_goal - goal
@@ -34,7 +34,7 @@ def choose_aim(
 
 
 def place(scene: Scene, node: int) -> Array:
-    """Where a body (3,) can be for a node: there, or in its ball where a box is too close to it."""
+    """Returns where (3,) a body can be for a node: at it, or in its ball if a box is too close."""
     point = scene.point(node)
     if room_to_boxes(scene, point[None])[0] >= 0.0:
         return point
@@ -42,25 +42,25 @@ def place(scene: Scene, node: int) -> Array:
 
 
 def room_at(scene: Scene, points: Array) -> Array:
-    """Metres (P,) between the body at points (P, 3) and the nearest box or bound."""
+    """Returns the metres (P,) from the body at points (P, 3) to the nearest box or bound."""
     low, high = scene.bounds
     walls = np.minimum(points - low, high - points).min(axis=1)
     return np.minimum(walls, room_to_boxes(scene, points))
 
 
 def room_to_boxes(scene: Scene, points: Array) -> Array:
-    """Metres (P,) between the body at points (P, 3) and the nearest box."""
+    """Returns the metres (P,) from the surface of the body at points (P, 3) to the nearest box."""
     if not len(scene.obstacles):
         return np.full(len(points), np.inf)
-    gap = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
-    return np.asarray(gap - scene.uav_radius)
+    distance = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
+    return np.asarray(distance - scene.uav_radius)
 
 
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
-    """The point (3,) of a goal's ball to fly to: the goal, or where there is room around it.
+    """Returns the goal, or the point (3,) of its ball to fly to where the goal lacks clearance.
 
-    Nearest to the goal among those with the most room, up to AIM_ROOM metres, to boxes (beyond
-    the body's radius) and to the bounds: an approach must not have to be exact to a millimetre
+    It is nearest to the goal among those with most clearance, up to AIM_ROOM metres, from boxes
+    (beyond the body's radius) and bounds: else an approach would have to be exact to a millimetre
     where a wall is behind the goal, as at a depot in the corner of the cube.
     """
     steps = np.linspace(-AIM_SHARE, AIM_SHARE, 25) * tolerance
@@ -69,6 +69,6 @@ def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
     near_first = np.argsort(far, kind="stable")
     near_first = near_first[far[near_first] <= AIM_SHARE * tolerance * (1 + 1e-9)]
     points = goal + ball[near_first]
-    room = np.minimum(room_at(scene, points), AIM_ROOM)
-    best = float(room.max())
-    return np.asarray(points[int(np.argmax(room >= best - 1e-9))])
+    clearance = np.minimum(room_at(scene, points), AIM_ROOM)
+    best = float(clearance.max())
+    return np.asarray(points[int(np.argmax(clearance >= best - 1e-9))])

@@ -1,4 +1,4 @@
-"""How each simulation stands towards its target."""
+"""Describes how each simulation stands towards its target."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from mjcollect.geometry.vectors import dot, norm, unit
 from mjcollect.guidance.stopping import chord
 from mjcollect.guidance.way import Way, query_row
 
-LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres between the points of `Approach.ahead`
+LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres from one point of `Approach.ahead` to the next
 
 
 class Approach(NamedTuple):
-    """How each of N simulations stands towards its target.
+    """Says how each of N simulations stands towards its target.
 
     Attributes:
-        offset: (N, 3) from the body to the target. distance: (N,) along the shortest free path.
-        direction: (N, 3) unit vectors of that path. closing: (N,) speed along `heading`.
-        speed: (N,) m/s.
-        returning: (N,) whether the target is the depot.
-        ahead: (N, A, 3) from the body to points farther along the path.
+        offset: (N, 3) m, body to target. distance: (N,) m along the shortest free path.
+        direction: (N, 3), unit vectors of that path. speed: (N,) m/s. closing: (N,) m/s,
+            the part of the velocity along `heading`.
+        returning: (N,), whether the target is the depot.
+        ahead: (N, A, 3) m, from the body to points farther along the path.
         near, far: (N,) metres along the path to where it enters the goal's ball and leaves it.
-        heading: (N, 3) unit vector along which near, far and closing are told: `direction`, or the
-            velocity's where that leads straight into the ball.
-        next_direction: (N, 3) unit vector from the target to the tour's next; zero where the tour
+        heading: (N, 3), unit vectors along which near, far and closing are measured: `direction`,
+            or that of the velocity where it leads straight into the ball.
+        next_direction: (N, 3), unit vectors from the target to the tour's next; zero where the tour
             ends.
-        frame: (N, 3, 3) axes of the path: along `heading`, level to its left, and upwards.
+        frame: (N, 3, 3), axes of the path: along `heading`, level to its left, and upwards.
         next_excess: (N,) metres by which the tour's next target is farther from the body than from
             the current target; 0 where the tour ends.
     """
@@ -52,7 +52,7 @@ class Approach(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> Approach:
-        """Room for `count` simulations; what is about the tour's next target is zero."""
+        """Returns unset rows for `count` simulations; what is about the next target is zero."""
         return cls(
             offset=np.empty((count, 3)),
             distance=np.empty(count),
@@ -70,23 +70,23 @@ class Approach(NamedTuple):
         )
 
     def rows(self, which: Indices) -> Approach:
-        """The simulations `which` (n,) only."""
+        """Returns the rows of the simulations `which` (n,) only."""
         return Approach._make(values[which] for values in self)
 
     def time_to_go(self, world: World) -> Array:
-        """Least time (N,) in s to come to rest in the goal's ball, on a line along the path."""
+        """Returns the least time (N,) in s to rest in the goal's ball, on a line along the path."""
         middle, half = (self.near + self.far) / 2, (self.far - self.near) / 2
         along = time_to_go(world, middle, self.closing, half)
         return np.maximum(along, np.minimum(self.speed / world.a_max[..., 0], TIME_CAP))
 
 
-TURN = 0.1  # radians by which a heading is still turned at hardly any loss of time
-STEEP = 0.05  # share of a path that is level, below which its frame keeps to the x axis
+TURN = 0.1  # rad; a smaller turn costs hardly any time, so the heading of the path is kept
+STEEP = 0.05  # A path with a level share below this takes its frame from the x axis.
 
 
 @compiled
 def stretch_row(way: Way, goal: Array, radius: float, left: float) -> tuple[float, float]:
-    """Metres along the path to where its last piece enters the goal's ball, and leaves it."""
+    """Returns the metres along the path to where its last piece enters the ball and leaves it."""
     last, towards = len(way.points) - 1, np.empty(3)
     if last == 0:
         return max(left - radius, 0.0), left + radius
@@ -102,15 +102,17 @@ def stretch_row(way: Way, goal: Array, radius: float, left: float) -> tuple[floa
 def aim_row(
     goal: Array, radius: float, change: float, braking: float, q: Array, v: Array, heading: Array
 ) -> tuple[float, float]:
-    """Bend `heading` towards where the velocity leads into the goal's ball, or passes it.
+    """Bends `heading` towards where the velocity leads into the goal's ball, or passes it.
 
-    Far away that is the heading; close by, where no turn is worth its while, the velocity's own
-    direction. Continuous in q and v, so that the time to go is. Metres to where the heading enters
-    the ball and to where it leaves it.
+    Far away it stays as it is; close by, where no turn is worth its while, it becomes the
+    velocity's direction. It is continuous in q and v, so that the time to go is.
 
     Args:
-        goal: (3,), in sight. radius: of its ball, in m. change: m/s in a slot. heading: (3,) unit
-            vector of the path.
+        goal: (3,), in sight. radius: of its ball, in m. change: m/s in a slot. braking: m to rest.
+        heading: (3,), unit vector of the path.
+
+    Returns:
+        The metres to where the new heading enters the ball and to where it leaves it.
     """
     offset, mine, aside = np.empty(3), np.empty(3), np.empty(3)
     for k in range(3):
@@ -137,13 +139,13 @@ def aim_row(
 
 @compiled
 def frame_row(direction: Array, frame: Array) -> None:
-    """Axes (3, 3) of a path: along it, level to its left, and upwards from both."""
+    """Writes the axes of a path to `frame` (3, 3): along it, level to its left, and upwards."""
     x, y = direction[0], direction[1]
     level = math.sqrt(x * x + y * y)
     if level < STEEP:
         x, y, level = 1.0, 0.0, 1.0
     frame[0] = direction
-    # Where the path is steep, x is not along it: what of `left` is along the path goes.
+    # `left` loses its part along the path: a steep path has no level direction of its own.
     left = np.array([-y / level, x / level, 0.0])
     along = dot(left, direction)
     for k in range(3):
@@ -159,9 +161,9 @@ def approach_rows(
     world: World, way: Way, which: Indices, goal: Array, radius: float, strides: Array, q: Array,
     v: Array, approach: Approach,
 ) -> None:  # fmt: skip
-    """Write the rows `which` of an approach to a goal (3,) with a ball of `radius` m.
+    """Writes the rows `which` of an approach to a goal (3,) with a ball of `radius` m.
 
-    But for the speed, and what is about the depot and the tour's next target. The points `ahead`,
+    Left out are the speed, and all about the depot and the tour's next target. The points `ahead`,
     `strides` metres from one to the next, show bends before they are reached.
     """
     point, towards = np.empty(3), np.empty(3)

@@ -1,7 +1,7 @@
-"""Guidance in files, so that what takes a second to build is built once for all processes of a run.
+"""Keeps guidance in files, so that what takes a second is built once for all processes of a run.
 
-A file is called by a digest of all that decides its content: the scene, the leg and the code that
-builds. So another scene, another leg or another version never finds it, and nothing goes stale.
+A file is named by a digest of all that decides its content: the scene, the segment and the code
+that builds. So another scene, segment or version never finds it, and no file goes stale.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from mjcollect.guidance.guidance import Guidance
 from mjcollect.guidance.way import Way
 from mjcollect.scene.scene import Scene
 
-ROOMS = ("geometry", "scene", "flight", "guidance")  # what builds guidance stands in these
+ROOMS = ("geometry", "scene", "flight", "guidance")  # The code that builds guidance is in these.
 
 
 def file_name(scene: Scene, node: int, start: Array, next_goal: Array | None = None) -> str:
-    """Name of the file of a guidance with these arguments, see `Guidance`."""
-    leg = {"node": node, "start": start.tolist()}
-    leg["next_goal"] = None if next_goal is None else next_goal.tolist()
-    text = json.dumps(scene.to_dict() | leg, sort_keys=True) + _code()
+    """Returns the name of the file of a `Guidance` with these arguments."""
+    segment = {"node": node, "start": start.tolist()}
+    segment["next_goal"] = None if next_goal is None else next_goal.tolist()
+    text = json.dumps(scene.to_dict() | segment, sort_keys=True) + _code()
     return f"guidance-{hashlib.sha256(text.encode()).hexdigest()[:24]}.npz"
 
 
 @cache
 def _code() -> str:
-    """Digest of the rooms that guidance is built from."""
+    """Returns a digest of the code that guidance is built by."""
     package = Path(__file__).parents[1]
     return compiled.digest(path for room in ROOMS for path in package.glob(f"{room}/*.py"))
 
 
 def save(built: Guidance, folder: Path) -> Path:
-    """Write a guidance into `folder` unless it is there; the file's path.
+    """Writes a guidance into `folder` unless it is there; returns the file's path.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: the file cannot be written.
     """
     path = folder / file_name(built.scene, built.node, built.start, built.next_goal)
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        # Whole or not at all, also if another process writes the same.
+        # The file appears whole or not at all, also if another process writes the same.
         draft = path.with_suffix(f".{os.getpid()}.tmp")
         with draft.open("wb") as file:
             np.savez(file, path=built.path, **built.way._asdict())
@@ -59,7 +59,7 @@ def save(built: Guidance, folder: Path) -> Path:
 def load(
     folder: Path, scene: Scene, node: int, start: Array, next_goal: Array | None = None
 ) -> Guidance | None:
-    """The guidance saved in `folder`, the same as one built anew; None if it has no whole file."""
+    """Returns the guidance saved in `folder`, equal to one built anew, or None if none is whole."""
     try:
         with np.load(
             folder / file_name(scene, node, start, next_goal), allow_pickle=False

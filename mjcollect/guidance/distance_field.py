@@ -1,7 +1,7 @@
-"""Shortest free path lengths to a point on a regular grid, by fast marching (scikit-fmm).
+"""Computes shortest free path lengths to a point on a grid, by fast marching (scikit-fmm).
 
 The grid is vertex-centred and conservative: a node counts as blocked if any part of its cell is
-within the body's radius of a box, so a path through free nodes never touches one.
+within the body's radius of a box, so a path through free nodes never touches a box.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.occupancy import blocked_grid
 from mjcollect.scene.scene import Scene
 
-CROWDING = 0.5  # a metre right at a box or at the bounds counts as 1.5, so that ways keep clear
-ROOM = 25.0  # metres from boxes and bounds from which on it counts as one
-RISE = 2.0  # slope of the field inside blocked cells: uphill, away from the nearest free one
+CROWDING = 0.5  # A metre right at a box or bound counts as 1.5, so that paths keep clear of both.
+CROWDED = 25.0  # metres; farther than this from boxes and bounds a metre counts as one
+RISE = 2.0  # In blocked cells the field rises by so many metres a metre from the nearest free one.
 
 
 class DistanceField:
-    """Distances in metres to `aim` on a grid over the bounds, longer where it is crowded.
+    """Holds the distances in m to `aim` on a grid over the bounds, longer where it is crowded.
 
     Attributes:
-        low, h: (3,) position of the first node, and spacing, in metres.
+        low, h: (3,), position of the first node, and spacing of nodes, in metres.
     """
 
     def __init__(
@@ -38,19 +38,19 @@ class DistanceField:
         within: tuple[Array, float] | None = None,
         crowding: float = CROWDING,
     ) -> None:
-        """March from `aim` (3,) over `cells` cells along the longest axis.
+        """Marches from `aim` (3,) over `cells` cells along the longest axis.
 
         Args:
-            within: (focus (3,), total): only the ellipsoid with foci `focus` and `aim` and that
-                sum of distances in metres is marched; elsewhere the field is undefined. Every
+            within: (focus (3,), total): only the ellipsoid with foci `focus` and `aim` and `total`
+                metres as the sum of distances is marched; elsewhere the field is undefined. Every
                 path from `focus` of at most that length lies inside.
-            crowding: what a metre right at a box or at the bounds counts beyond one.
+            crowding: by how much a metre right at a box or bound counts more than one.
         """
         low, high = scene.bounds
         count = np.maximum(np.ceil((high - low) / np.max(high - low) * cells), 4).astype(int)
         self._scene, self.low, self.h = scene, low, (high - low) / count
         first, last = np.zeros(3, dtype=int), count
-        if within is not None:  # only the nodes around the ellipsoid
+        if within is not None:  # the grid has only the nodes around the ellipsoid
             reach = _half_widths(*within, aim)
             middle = (within[0] + aim) / 2
             first = np.clip(np.floor((middle - reach - low) / self.h).astype(int), 0, count - 1)
@@ -92,9 +92,9 @@ class DistanceField:
     def _leaks(
         self, near: np.ndarray, straight: Array, ball: float, blocked: np.ndarray
     ) -> np.ndarray:
-        """Which nodes (n, 3) of the ball have a step out of it, not blocked, through a box. (n,).
+        """Returns for which nodes (n, 3) of the ball a free step out of it leads through a box.
 
-        Only there: elsewhere no cell is free that a box is in.
+        Only there is that possible: outside the ball no cell is free that a box is in.
         """
         scene, found = self._scene, np.zeros(len(near), dtype=bool)
         for step in np.concatenate([np.eye(3, dtype=int), -np.eye(3, dtype=int)]):
@@ -105,14 +105,14 @@ class DistanceField:
         return found
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
-        """How near boxes or bounds are: 1 at them, 0 from ROOM metres on."""
-        gap = ndimage.distance_transform_edt(~blocked, sampling=self.h)
+        """Returns how near each node is to boxes or bounds: 1 at them, 0 from CROWDED metres."""
+        away = ndimage.distance_transform_edt(~blocked, sampling=self.h)
         low, high = self._scene.bounds
         for axis in range(3):
             at = self.low[axis] + self.h[axis] * np.arange(self._shape[axis])
             wall = np.minimum(at - low[axis], high[axis] - at)
-            gap = np.minimum(gap, np.expand_dims(wall, [k for k in range(3) if k != axis]))
-        return np.asarray(np.clip(1.0 - gap / ROOM, 0.0, 1.0))
+            away = np.minimum(away, np.expand_dims(wall, [k for k in range(3) if k != axis]))
+        return np.asarray(np.clip(1.0 - away / CROWDED, 0.0, 1.0))
 
     def _straight(self, point: Array) -> Array:
         square = [
@@ -124,9 +124,9 @@ class DistanceField:
 
     @cached_property
     def filled(self) -> NDArray[np.float32]:
-        """The field continued into blocked cells, rising away from the nearest free one.
+        """Returns the field (X, Y, Z) in m, continued into blocked cells; NaN where undefined.
 
-        (X, Y, Z) metres; NaN where undefined.
+        There it rises away from the nearest free cell.
         """
         if not self._connected:
             return self._distance
@@ -139,11 +139,11 @@ class DistanceField:
         return np.asarray(filled)
 
     def points(self, nodes: np.ndarray) -> Array:
-        """Positions (n, 3) of grid nodes (n, 3)."""
+        """Returns the positions (n, 3) in m of grid nodes (n, 3)."""
         return np.asarray(self.low + nodes * self.h)
 
     def entry(self, start: Array) -> tuple[int, ...] | None:
-        """The best node near `start` (3,) joined to the aim and in clear straight sight, if any."""
+        """Returns the best node near `start` (3,) joined to the aim and clear to reach, or None."""
         index = np.rint((start - self.low) / self.h).astype(int)
         near = index + np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), -1)
         near = near.reshape(-1, 3)
@@ -157,9 +157,9 @@ class DistanceField:
         return tuple(near[int(np.argmin(total))])
 
     def descend(self, node: tuple[int, ...]) -> tuple[int, ...] | None:
-        """The neighbour (of 26) with the steepest descent; None where nothing is lower.
+        """Returns the neighbour (of 26) with the steepest descent; None where none is lower.
 
-        Near the aim a node's cell need not be free throughout, so the step itself must be.
+        Near the aim a node's cell need not be free throughout, so the step itself must be clear.
         """
         low = np.maximum(np.array(node) - 1, 0)
         high = np.minimum(np.array(node) + 2, self._shape)
@@ -179,33 +179,33 @@ class DistanceField:
 
 
 def _half_widths(focus: Array, total: float, aim: Array) -> Array:
-    """Half widths (3,) of the box around the ellipsoid with foci `focus`, `aim`."""
+    """Returns the half widths (3,) in m of the box around the ellipsoid with these two foci."""
     axis = aim - focus
     focal = float(np.linalg.norm(axis))
     minor = (max(total, focal) ** 2 - focal**2) / 4
     return np.asarray(np.sqrt(minor + axis**2 / 4))
 
 
-WAY_ROOM = 2.5  # metres beyond the body's radius that ways keep from boxes where there is room
+WAY_ROOM = 2.5  # metres of clearance that paths keep from boxes where they can
 
 
 class NoWay(ValueError):
-    """A field does not join two points."""
+    """Says that a field does not join two points."""
 
 
 def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Array:
-    """A free path (P, 3) from `start` down a field to its aim, both (3,), node by node.
+    """Returns a free path (P, 3) from `start` down a field to its aim, both (3,), node by node.
 
-    The last piece is straight, with ROOM beside it unless the aim itself has less.
+    The last piece is straight, with WAY_ROOM of clearance unless the aim itself has less.
 
     Raises:
-        NoWay: the field does not join them.
+        NoWay: the field does not join the two points.
     """
     radius, boxes = scene.uav_radius, scene.obstacles
     beside = point_box_distance(aim[None], boxes).min() - radius if len(boxes) else WAY_ROOM
-    room = radius + min(1.01 * WAY_ROOM, max(0.9 * beside, 0.0))
+    reach = radius + min(1.01 * WAY_ROOM, max(0.9 * beside, 0.0))
     points, node = [start], field.entry(start)
-    while not segment_clear(points[-1], aim, boxes, room):
+    while not segment_clear(points[-1], aim, boxes, reach):
         if node is None:
             if segment_clear(points[-1], aim, boxes, radius):
                 break

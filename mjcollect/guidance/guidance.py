@@ -1,8 +1,8 @@
-"""Guidance to one goal: shortest free path length and direction from anywhere, and a tight path.
+"""Guides to one goal: by length and direction of the shortest free path from anywhere.
 
-Where a waypoint of the tight way is in sight, both are exact along it. Elsewhere a distance field
-(fast marching) gives them. Where obstacles bend the way, a finer field covers the ellipsoid in
-which a shorter way could lie, since gaps narrower than two cells are closed on a conservative grid.
+Where a waypoint of the tight path is in sight, both are exact along it. Elsewhere a distance field
+(fast marching) gives them. Where obstacles bend the path, a finer field covers the ellipsoid in
+which a shorter one could lie: a conservative grid closes passages narrower than two cells.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from mjcollect.guidance.way import Way, query_rows
 from mjcollect.guidance.waypoints import Waypoints
 from mjcollect.scene.scene import Scene
 
-# Cells along the longest axis: 20 m, 10 m and 5 m in a 1 km cube.
+# Fields have so many cells along the longest axis: of 20 m, 10 m and 5 m in a 1 km cube.
 WIDE, COARSE, FINE = 50, 100, 200
-# Metres by which ways through the coarse field may be longer than the wide one: at least, as a
-# share of the bounds' longest side, and as a share of the way.
-COARSE_SLACK_SHARE, COARSE_SLACK_OF_WAY = 0.1, 0.3
-# Metres by which ways through the finer field may be longer than the coarse one: at most, and as a
-# share of the bounds' longest side.
-FINE_SLACK, FINE_SLACK_SHARE = 60.0, 0.06
-STOP_SHARE = 0.98  # of the tolerance: how far from its goal a stop may be planned
-SLACK_SHARE = 0.8  # of what is left of the tolerance beside the aim
+# The coarse field holds paths longer than the wide field's by the greater of two margins: these
+# shares of the bounds' longest side, and of the path.
+COARSE_SHARE, COARSE_SHARE_OF_PATH = 0.1, 0.3
+# The finer field holds paths longer than the coarse field's by a margin of at most so many metres,
+# and at most this share of the bounds' longest side.
+FINE_MARGIN, FINE_SHARE = 60.0, 0.06
+STOP_SHARE = 0.98  # A stop is planned at most this share of the tolerance from its goal.
+MARGIN_SHARE = 0.8  # `Guidance.slack` is this share of what the aim leaves of the tolerance.
 
 
 class GuidanceError(ValueError):
-    """No passage to the goal was found on the finest grid, or slots are too long to steer in."""
+    """Says that no passage to the goal was found, or that slots are too long to steer in."""
 
 
 class Guidance:
-    """Shortest-path distance and direction to one node of a scene, from anywhere in the bounds.
+    """Gives distance and direction of the shortest free path to one node, from anywhere in bounds.
 
     Attributes:
-        goal: (3,) position of the target node. aim: (3,) point of its tolerance ball flown to.
-        tolerance: metres within which the body must come to rest. slack: metres by which a stop
-            may miss the aim along the way.
-        path: (P, 3) the shortest tight free path found from `start` to the aim.
-        way: what distance and direction are read from.
+        goal: (3,), position of the target node. aim: (3,), point of its tolerance ball flown to.
+        tolerance: metres from the goal within which the body must come to rest. slack: metres
+            along the path by which a stop may miss the aim.
+        path: (P, 3), the shortest tight free path found from `start` to the aim.
+        way: the numbers that distance and direction are read from.
     """
 
     def __init__(
@@ -55,17 +55,17 @@ class Guidance:
         next_goal: Array | None = None,
         built: tuple[Array, Way] | None = None,
     ) -> None:
-        """Build the fields.
+        """Builds the fields and the path.
 
         Args:
             scene: the scene. node: item index, or -1 for the depot.
-            start: (3,) where the way begins; the finer field is made for it.
-            next_goal: (3,) where the tour goes on to, if it does.
-            built: `path` and `way` of the same guidance, from `guidance_file`.
+            start: (3,), where the path begins; the finer field is made for it.
+            next_goal: (3,), where the tour goes on to, if it does.
+            built: `path` and `way` of the same guidance, from a file of `guidance.cache`.
 
         Raises:
             GuidanceError: `start` and the goal are not connected on the finest grid, or one slot of
-                full acceleration leads further than the bounds are wide.
+                full acceleration leads farther than the bounds are wide.
         """
         leap, extent = scene.a_max * scene.slot**2 / 2, float(np.ptp(scene.bounds, axis=0).max())
         if leap > extent:
@@ -76,7 +76,7 @@ class Guidance:
         self.scene, self.node, self.start, self.next_goal = scene, node, start, next_goal
         self.goal, self.tolerance = scene.point(node), scene.tolerance(node)
         self.aim = choose_aim(scene, self.goal, self.tolerance, start, next_goal)
-        self.slack = SLACK_SHARE * (self.tolerance - float(np.linalg.norm(self.aim - self.goal)))
+        self.slack = MARGIN_SHARE * (self.tolerance - float(np.linalg.norm(self.aim - self.goal)))
         if built is not None:
             self.path, self.way = built
             return
@@ -93,21 +93,21 @@ class Guidance:
         )
 
     def _coarse_fields(self, start: Array) -> list[DistanceField]:
-        """Wide cells everywhere and coarse ones where a way can lead, or coarse ones everywhere."""
+        """Returns a wide field and a coarse one where paths can lead, or only a coarse one."""
         scene, wide = self.scene, DistanceField(self.scene, self.aim, WIDE)
         if wide.entry(start) is not None:
             length = path_length(self._tight(self._way_down(wide, start)))
             longest = float(np.ptp(scene.bounds, axis=0).max())
-            slack = max(COARSE_SLACK_SHARE * longest, COARSE_SLACK_OF_WAY * length)
-            coarse = DistanceField(scene, self.aim, COARSE, (start, length + slack))
+            margin = max(COARSE_SHARE * longest, COARSE_SHARE_OF_PATH * length)
+            coarse = DistanceField(scene, self.aim, COARSE, (start, length + margin))
             if coarse.entry(start) is not None:
                 return [wide, coarse]
         return [DistanceField(scene, self.aim, COARSE)]
 
     def _find_path(self, start: Array, fields: list[DistanceField]) -> tuple[Array, list[Array]]:
-        """The shortest tight free path found, and the ways that were tightened.
+        """Returns the shortest tight free path found, and the paths that were tightened.
 
-        Adds the finer field where the way bends.
+        It appends the finer field to `fields` where the path bends.
         """
         scene, within = self.scene, None
         ways: list[Array] = []
@@ -115,8 +115,8 @@ class Guidance:
             ways.append(self._way_down(fields[-1], start))
             if len(ways[0]) == 2:
                 return ways[0], ways
-            slack = min(FINE_SLACK, FINE_SLACK_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
-            within = (start, path_length(self._tight(ways[0])) + slack)
+            margin = min(FINE_MARGIN, FINE_SHARE * float(np.ptp(scene.bounds, axis=0).max()))
+            within = (start, path_length(self._tight(ways[0])) + margin)
         fine = DistanceField(scene, self.aim, FINE, within)
         if fine.entry(start) is not None:
             shortest = DistanceField(scene, self.aim, FINE, within, crowding=0.0)
@@ -140,27 +140,27 @@ class Guidance:
         return tighten(way, self.scene.obstacles, self.scene.uav_radius)
 
     def _best_stop(self) -> Array:
-        """`Way.stop`: towards where the tour goes on, else the aim."""
+        """Returns `Way.stop`: a point towards where the tour goes on, or else the aim."""
         radius = STOP_SHARE * self.tolerance
         around = self.tolerance + AIM_ROOM
         if self.next_goal is None and room_to_boxes(self.scene, self.goal[None])[0] >= around:
-            return np.append(self.aim, radius)  # coming from within the bounds
+            return np.append(self.aim, radius)  # bounds do not matter to what comes from within
         if self.next_goal is None or room_at(self.scene, self.goal[None])[0] < around:
             return np.append(self.aim, 0.0)
-        onward = self.next_goal - self.goal
-        far = float(np.linalg.norm(onward))
-        return np.append(self.goal + onward / max(far, 1e-9) * min(radius, far), radius)
+        to_next = self.next_goal - self.goal
+        far = float(np.linalg.norm(to_next))
+        return np.append(self.goal + to_next / max(far, 1e-9) * min(radius, far), radius)
 
     @cached_property
     def length(self) -> float:
-        """Metres of `path`, led to the goal itself where the aim is beside it."""
+        """Returns the metres of `path`, led on to the goal itself where the aim is beside it."""
         to_goal = np.array([*self.path[:-1], self.goal])
         if segment_clear(to_goal[-2], self.goal, self.scene.obstacles, self.scene.uav_radius):
             return path_length(to_goal)
         return path_length(self.path) + float(np.linalg.norm(self.goal - self.aim))
 
     def query(self, q: Array) -> tuple[Array, Array]:
-        """Shortest free path length (N,) in m and its unit direction (N, 3) from q (N, 3)."""
+        """Returns length (N,) in m and direction (N, 3) of the shortest free path from q (N, 3)."""
         distance, direction = np.empty(len(q)), np.empty((len(q), 3))
         query_rows(self.way, np.arange(len(q)), plain(q), distance, direction)
         return distance, direction

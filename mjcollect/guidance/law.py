@@ -1,8 +1,8 @@
-"""The guidance law, which learns nothing: along the way as fast as it can still be flown.
+"""Flies the guidance law, which learns nothing: along the path as fast as it can still be flown.
 
-The yardstick of what is learned, its prior, and the source of demonstrations. After each of its
-slots full braking leads to rest without touching anything, so a flight that begins at rest and
-keeps to the law never does.
+Policies are compared with it and learn from its demonstrations. After each of its slots full
+braking leads to rest without touching anything, so a flight that begins at rest and keeps to the
+law never touches anything.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from mjcollect.guidance.stopping import stop_row
 from mjcollect.guidance.way import Way, query_row
 
 ONE_TURN = 30.0  # metres within which corners count as one turn
-CORNER_BRAKE = 0.9  # share of a_max that the guidance law counts on before corners
-WALL_SHARE = 0.9  # of the room to a bound that a stop may take
-RETURN_SECONDS = 1.0  # in which a body that was blown over a bound comes back
-FREE_ROOM = 0.1  # metres beyond the body's radius that the law keeps from boxes where it can
-BOX_ROOM = 0.5  # metres beyond the body's radius from which it does not approach a box
+CORNER_BRAKE = 0.9  # The law counts on this share of a_max to brake before corners.
+WALL_SHARE = 0.9  # A stop may take this share of the distance to a bound.
+RETURN_SECONDS = 1.0  # A body that was blown over a bound comes back in this time.
+FREE_MARGIN_M = 0.1  # metres of clearance that the law keeps from boxes where it can
+BOX_MARGIN_M = 0.5  # metres of clearance below which the law approaches a box no further
 
 
 @compiled
 def heading_row(
     way: Way, slot: float, a_max: float, chosen: int, q: Array, v: Array, heading: Array
 ) -> float:
-    """Turn `heading` in time for a corner; the speed in m/s at which those ahead can be flown.
+    """Turns `heading` in time for a corner; returns the speed in m/s that corners ahead allow.
 
     Turning from direction u into w with a_max takes v |u - w| / a_max seconds and cuts the corner
-    by v^2 |u - w|^2 / (8 a_max) metres if it begins half that time before. See `Waypoints`.
+    by v^2 |u - w|^2 / (8 a_max) metres if it begins half that time before, see `waypoints`.
     """
     if chosen < 0:
         return np.inf
     speed, limit, before = norm(v), np.inf, np.empty(3)
-    gap, bend = np.empty(3), np.empty(3)
+    offset, bend = np.empty(3), np.empty(3)
     for k in range(3):
-        gap[k], before[k] = way.points[chosen, k] - q[k], heading[k]
-    ahead = norm(gap)
+        offset[k], before[k] = way.points[chosen, k] - q[k], heading[k]
+    ahead = norm(offset)
     for p in range(chosen, len(way.points) - 1):
         end, cut = p, way.cut[p]
         while end < len(way.points) - 2 and way.remaining[p] - way.remaining[end + 1] < ONE_TURN:
@@ -58,8 +58,8 @@ def heading_row(
         soon = ahead <= speed * (speed * turn / a_max + slot) / 2
         if p == chosen and soon and speed <= 1.3 * corner:
             for k in range(3):
-                gap[k] = way.points[p + 1, k] - q[k]
-            unit(gap, heading)
+                offset[k] = way.points[p + 1, k] - q[k]
+            unit(offset, heading)
             limit = min(limit, corner)
         else:
             limit = min(limit, math.sqrt(corner**2 + 2 * CORNER_BRAKE * a_max * max(begin, 0.0)))
@@ -68,27 +68,27 @@ def heading_row(
 
 
 @compiled
-def stopping(brake: float, room: float, speed: float, slot: float) -> float:
-    """Speed at the slot's end from which `brake` m/s^2 still stops within `room` metres.
+def stopping(brake: float, distance: float, speed: float, slot: float) -> float:
+    """Returns the speed at the slot's end from which `brake` m/s^2 still stops within `distance` m.
 
-    Solves w^2 = 2 brake (room - (speed + w) slot / 2) for w: what the slot itself takes is gone.
+    It solves w^2 = 2 brake (distance - (speed + w) slot / 2) for w: the slot itself takes a part.
     """
     half = brake * slot / 2
-    found = math.sqrt(max(half**2 + 2 * brake * room - 2 * half * speed, 0.0)) - half
-    if found < 2 * half:  # then the stop takes a slot, however slow
-        found = min(found, room / slot - speed / 2)
+    found = math.sqrt(max(half**2 + 2 * brake * distance - 2 * half * speed, 0.0)) - half
+    if found < 2 * half:  # the stop then takes a whole slot, however slow
+        found = min(found, distance / slot - speed / 2)
     return found
 
 
 @compiled
 def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
-    """Bend a heading along the nearest box where it leads into one close by."""
+    """Bends a heading along the nearest box where it leads into one close by."""
     boxes = world.boxes[w]
-    offset, nearest, gap = np.empty(3), np.zeros(3), world.radius[w, 0] + BOX_ROOM
+    offset, nearest, distance = np.empty(3), np.zeros(3), world.radius[w, 0] + BOX_MARGIN_M
     for b in range(len(boxes)):
         this = box_offset(q, boxes[b], offset)
-        if this < gap:
-            gap = this
+        if this < distance:
+            distance = this
             unit(offset, nearest)
     into = dot(heading, nearest)
     if into > 0.0:
@@ -99,7 +99,7 @@ def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
 
 @compiled
 def within_bounds(world: World, w: int, q: Array, wanted: Array) -> None:
-    """Take from a wanted velocity what cannot be stopped within the bounds; outside, come back."""
+    """Takes from a velocity what cannot be stopped within bounds; leads back from outside."""
     bounds = world.bounds[w]
     # Braking against the velocity, wanted[k] lasts for this long and covers half of it.
     seconds = max(norm(wanted) / world.a_max[w, 0], 2 * world.slot)
@@ -115,13 +115,13 @@ def within_bounds(world: World, w: int, q: Array, wanted: Array) -> None:
 
 @compiled
 def steer(world: World, w: int, v: Array, heading: Array, wanted: Array, a: Array) -> None:
-    """Feasible acceleration `a` in m/s^2 towards a wanted velocity, which it overwrites."""
+    """Writes to `a` the feasible acceleration (m/s^2) towards `wanted` (m/s), overwriting that."""
     a_max = world.a_max[w, 0]
     for k in range(3):
         wanted[k] = (wanted[k] - v[k]) / world.slot
     along = dot(wanted, heading)
     if along > 0.0:
-        # Across the path first: speed can wait, as braking cannot.
+        # Motion across the path comes first: gaining speed can wait, braking cannot.
         for k in range(3):
             wanted[k] -= along * heading[k]
         into_ball(wanted, a_max)
@@ -136,19 +136,19 @@ def steer(world: World, w: int, v: Array, heading: Array, wanted: Array, a: Arra
 
 @compiled
 def law_row(
-    world: World, w: int, q: Array, v: Array, room: float, heading: Array, corner: float,
+    world: World, w: int, q: Array, v: Array, remaining: float, heading: Array, corner: float,
     action: Array,
 ) -> None:  # fmt: skip
-    """Action of the law where `room` metres are left to fly; bends `heading` where it must.
+    """Writes the law's action where `remaining` metres are left to fly; bends `heading` if it must.
 
-    Along `heading` at the greatest speed from which full braking still ends in time, at the aim,
-    at corners and before boxes; slower where it could not stop any more, at last full braking.
+    It flies along `heading` at the greatest speed from which full braking still ends in time: at
+    the aim, at corners and before boxes; slower where it could not stop any more, at last braking.
     """
     a_max, slot = world.a_max[w, 0], world.slot
     beside_boxes(world, w, q, heading)
     closing = dot(v, heading)
-    free = free_way(world.boxes[w], world.radius[w, 0] + FREE_ROOM, q, heading)
-    speed = min(stopping(a_max, min(room, free), closing, slot), world.v_max[w, 0], corner)
+    free = free_way(world.boxes[w], world.radius[w, 0] + FREE_MARGIN_M, q, heading)
+    speed = min(stopping(a_max, min(remaining, free), closing, slot), world.v_max[w, 0], corner)
     wanted = np.empty(3)
     for k in range(3):
         wanted[k] = heading[k] * speed
@@ -160,20 +160,23 @@ def law_row(
 
 @compiled
 def law_rows(
-    world: World, way: Way, slack: float, which: Indices, goal: Array, q: Array, v: Array,
+    world: World, way: Way, margin: float, which: Indices, goal: Array, q: Array, v: Array,
     action: Array,
 ) -> None:  # fmt: skip
-    """Actions (N, 3) of the simulations `which` towards a goal (3,)."""
+    """Writes the actions (N, 3), in units of a_max, of the simulations `which` to a goal (3,).
+
+    A stop may miss the aim by `margin` metres along the path.
+    """
     heading, aim = np.empty(3), np.empty(3)
     for i in which:
         w = scene_of(world, i)
         left, chosen = query_row(way, q[i], heading)
         a_max, top, slot = world.a_max[w, 0], world.v_max[w, 0], world.slot
         corner = heading_row(way, slot, a_max, chosen, q[i], v[i], heading)
-        room = max(left - slack, 0.0)
+        remaining = max(left - margin, 0.0)
         if chosen == len(way.points) - 1:
             found = stop_row(way, goal, q[i], v[i], a_max, top, slot, aim)
             if found >= 0.0:
-                room = found
+                remaining = found
                 heading[:] = aim
-        law_row(world, w, q[i], v[i], room, heading, corner, action[i])
+        law_row(world, w, q[i], v[i], remaining, heading, corner, action[i])

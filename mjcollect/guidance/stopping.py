@@ -1,7 +1,7 @@
-"""Where in a goal's ball the guidance law stops.
+"""Chooses where in a goal's ball the guidance law stops.
 
-A leg takes a whole number of slots. What they leave to spare is used to stop nearer to where the
-tour goes on.
+A segment takes a whole number of slots. The time that these leave over is used to stop nearer to
+where the tour goes on.
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from mjcollect.geometry.compiled import Array, compiled
 from mjcollect.geometry.vectors import dot, lerp, norm, unit
 from mjcollect.guidance.way import Way
 
-SPARE = 0.01  # seconds of what is to spare that are not counted on
-RIM_SHARE = 0.1  # of the radius that a stop moved by RIM_REACHED of the way, or more, keeps inside
+MARGIN_S = 0.01  # seconds of the time left over that are not counted on
+# A stop that is moved by RIM_REACHED of the way, or more, stays RIM_SHARE of the radius inside.
+RIM_SHARE = 0.1
 RIM_REACHED = 0.25
-ASTRIDE = 0.2  # of the radius: nearer to the centre the way to the stop leads through the ball
-STRETCH = 1e-6  # share of a slot by which a time may exceed whole slots
+ASTRIDE = 0.2  # Nearer to the centre than this share of the radius, a stop is not moved outwards.
+STRETCH = 1e-6  # A time may exceed whole slots by this share of a slot.
 
 
 @compiled
 def chord(goal: Array, radius: float, q: Array, towards: Array) -> tuple[float, float]:
-    """Metres from q along `towards` to the middle of the chord through a ball, and half of it.
+    """Returns metres from q along `towards` to the middle of the chord of a ball, and half of it.
 
-    The half is negative where the ball is missed.
+    The half is negative where the line misses the ball.
     """
     middle, square = 0.0, 0.0
     for k in range(3):
@@ -41,11 +42,11 @@ def along(
     goal: Array, best: Array, radius: float, q: Array, v: Array, a_max: float, top: float,
     slot: float, towards: Array,
 ) -> float:  # fmt: skip
-    """Metres to a stop in the ball along the velocity: near the end the heading is kept."""
+    """Returns the metres to a stop in the ball along the velocity: near it no turn is begun."""
     speed = unit(v, towards)
     braking = speed**2 / (2 * a_max)
     middle, half = chord(goal, radius, q, towards)
-    if half < 0.0 or middle + half <= 0.0:  # missed: straight to the ball
+    if half < 0.0 or middle + half <= 0.0:  # a miss: straight to the ball
         for k in range(3):
             towards[k] = goal[k] - q[k]
         return max(unit(towards, towards) - radius, 0.0)
@@ -55,12 +56,12 @@ def along(
     last = min(max(last, near), middle + half)
     if braking >= near:
         slots = math.ceil(speed / a_max / slot - STRETCH)
-        return max(braking, min(last, speed * slots * slot / 2))  # even braking in whole slots
-    slots = math.ceil((time_to_rest(near, speed, 0.0, a_max, top) + SPARE) / slot - STRETCH)
+        return max(braking, min(last, speed * slots * slot / 2))  # even braking over whole slots
+    slots = math.ceil((time_to_rest(near, speed, 0.0, a_max, top) + MARGIN_S) / slot - STRETCH)
     low, high = near, last
     for _ in range(12):
         tried = (low + high) / 2
-        if time_to_rest(tried, speed, 0.0, a_max, top) <= slots * slot - SPARE:
+        if time_to_rest(tried, speed, 0.0, a_max, top) <= slots * slot - MARGIN_S:
             low = tried
         else:
             high = tried
@@ -69,10 +70,10 @@ def along(
 
 @compiled
 def rim(way: Way, goal: Array, radius: float, inwards: Array, share: float, point: Array) -> None:
-    """A point of the goal's ball between where `inwards` enters it and `Way.stop`.
+    """Writes to `point` a point of the goal's ball, from where `inwards` enters it to `Way.stop`.
 
-    Near the sphere, where at first it takes hardly any way to move towards the stop; not on it,
-    or a turn that is not exact to the millimetre would miss the ball.
+    It is near the sphere, where at first it takes hardly any way to move towards the stop; not on
+    it, or a turn that is not exact to the millimetre would miss the ball.
     """
     square = 0.0
     for k in range(3):
@@ -91,10 +92,10 @@ def stop_row(
     way: Way, goal: Array, q: Array, v: Array, a_max: float, top: float, slot: float,
     towards: Array,
 ) -> float:  # fmt: skip
-    """Metres to fly along `towards`, which is set, to a stop in the goal's ball; -1: to the aim.
+    """Returns the metres to a stop in the goal's ball along `towards`, which is written; -1: none.
 
-    As near to `Way.stop`, where the tour goes on, as takes no more slots than the shortest way
-    into the ball.
+    The stop is as near to `Way.stop`, where the tour goes on, as takes no more slots than the
+    shortest way into the ball. With -1 the aim is flown to.
     """
     radius = way.stop[3]
     if radius <= 0.0:
@@ -108,18 +109,18 @@ def stop_row(
         return 0.0
     inwards, step = towards.copy(), np.empty(3)
     least = time_to_rest(far - radius, dot(v, towards), 0.0, a_max, top)
-    slots = math.ceil((least + SPARE) / slot)
+    slots = math.ceil((least + MARGIN_S) / slot)
     low, high = 0.0, 1.0
     for trial in range(9):
         share = 1.0 if trial == 0 else (low + high) / 2
         rim(way, goal, radius, inwards, share, step)
         for k in range(3):
             step[k] -= q[k]
-        room = unit(step, towards)
-        if time_to_rest(room, dot(v, towards), 0.0, a_max, top) <= slots * slot - SPARE:
+        length = unit(step, towards)
+        if time_to_rest(length, dot(v, towards), 0.0, a_max, top) <= slots * slot - MARGIN_S:
             low = share
             if trial == 0:
-                return room
+                return length
         else:
             high = share
     rim(way, goal, radius, inwards, low, step)

@@ -1,4 +1,4 @@
-"""Obstacle-aware cost between nodes: the least time along the shortest free path."""
+"""Computes the cost between nodes among obstacles: the least time along the shortest free path."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mjcollect.scene.scene import Scene
 
 
 def travel_times(scene: Scene) -> Array:
-    """Symmetric (K + 1, K + 1) seconds between nodes, depot first, for `tour.plan_order`.
+    """Returns symmetric (K + 1, K + 1) seconds between nodes, depot first, for `plan_order`.
 
-    Stops anywhere in a node's ball count: epsilon is taken off at each item's end. One distance
-    field is marched per node with a blocked neighbour; a pair that its grid does not join gets
-    the finer field of `Guidance`.
+    A stop anywhere in a node's ball counts: epsilon is taken off at each item's end. One distance
+    field is marched for each node with a blocked neighbour; a pair that its grid does not join
+    gets the finer field of `Guidance`.
 
     Raises:
-        GuidanceError: two nodes are not joined on the finest grid.
+        GuidanceError: the finest grid does not join two nodes.
     """
     nodes = [-1, *range(len(scene.items))]
     points = np.array([scene.point(node) for node in nodes])
@@ -35,15 +35,15 @@ def travel_times(scene: Scene) -> Array:
             continue
         aim = feasible_aim(scene, points[to], scene.tolerance(nodes[to]))
         field = DistanceField(scene, aim, COARSE, crowding=0.0)
-        for frm in blocked:
-            if field.entry(points[frm]) is None:
-                way = Guidance(scene, nodes[to], points[frm]).length
+        for start in blocked:
+            if field.entry(points[start]) is None:
+                way = Guidance(scene, nodes[to], points[start]).length
             else:
                 tight = tighten(
-                    way_down(field, scene, points[frm], aim), scene.obstacles, scene.uav_radius
+                    way_down(field, scene, points[start], aim), scene.obstacles, scene.uav_radius
                 )
                 way = path_length(tight)
-            length[frm, to] = length[to, frm] = way
+            length[start, to] = length[to, start] = way
     taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])
     free = np.maximum(length - taken[:, None] - taken[None], 0.0)
     cost = np.array(leg_time(free, scene.v_max, scene.a_max))

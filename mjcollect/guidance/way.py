@@ -1,4 +1,4 @@
-"""The numbers that guidance is read from, and what they say at a point."""
+"""Holds the numbers that guidance is read from, and reads them at a point."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from mjcollect.geometry.vectors import lerp, norm, unit
 
 
 class Way(NamedTuple):
-    """The numbers that guidance is read from, see `kernels.query`; F fields, the finest last.
+    """Holds the numbers that `query_row` reads guidance from; of F fields the finest is the last.
 
     Attributes:
         points, remaining, next_direction, cut, sight: see `Waypoints`.
-        low, spacing: (F, 3) m. nodes: (F, 3), nodes along each axis.
-        stop: (4,) where a stop is best for the tour, and the radius in m of the ball around the
+        low, spacing: (F, 3) m, see `DistanceField`. nodes: (F, 3), nodes along each axis.
+        stop: (4,), where a stop is best for the tour, and the radius in m of the ball around the
             goal in which a stop is free; 0 if it is not free all around.
-        first: (F,) index of each field's first node in `values` (V,), in metres.
+        first: (F,), index of each field's first node in `values` (V,), which are in metres.
     """
 
     points: Array
@@ -37,18 +37,18 @@ class Way(NamedTuple):
     stop: Array
 
 
-WAYPOINT_FAVOUR = 1.0  # metres by which a way over waypoints may be longer than a field's
+WAYPOINT_FAVOUR = 1.0  # metres by which a path over waypoints may be longer than a field's
 
 
 @compiled
 def value_at(way: Way, node: int) -> float:
-    """Value of a node, from here on in double precision."""
+    """Returns the value of a node in double precision."""
     return np.float64(way.values[node])
 
 
 @compiled
 def interpolate_field(way: Way, field: int, q: Array, downhill: Array) -> float:
-    """Trilinear value of a field at a point, and minus its gradient."""
+    """Returns the trilinear value of a field at q; writes minus its gradient to `downhill`."""
     dx, dy, dz = way.nodes[field, 1] * way.nodes[field, 2], way.nodes[field, 2], 1
     corner, strides = way.first[field], (dx, dy, dz)
     for k in range(3):
@@ -73,7 +73,10 @@ def interpolate_field(way: Way, field: int, q: Array, downhill: Array) -> float:
 
 @compiled
 def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
-    """See `guidance.Guidance.query`; with the index of the waypoint flown to, -1 for none."""
+    """Returns the path's length (m) from q and the waypoint it leads to, -1 for none.
+
+    It writes the path's unit direction to `direction` (3,).
+    """
     offset, chosen, best = np.empty(3), -1, np.inf
     last = len(way.points) - 1
     for p in range(last, -1, -1):
@@ -90,7 +93,7 @@ def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
     straight = norm(offset)
     found = np.inf
     downhill = np.empty(3)
-    for field in range(len(way.first) - 1, -1, -1):  # the finest that is defined here
+    for field in range(len(way.first) - 1, -1, -1):  # the finest that is defined at q
         found = interpolate_field(way, field, q, downhill)
         if math.isfinite(found):
             break
@@ -103,6 +106,6 @@ def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
 
 @compiled
 def query_rows(way: Way, which: Indices, q: Array, distance: Array, direction: Array) -> None:
-    """See `guidance.Guidance.query`, for the simulations `which`."""
+    """Compiled loop of `query_row` over the simulations `which`, written to their rows."""
     for i in which:
         distance[i], _ = query_row(way, q[i], direction[i])

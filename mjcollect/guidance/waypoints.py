@@ -1,8 +1,8 @@
-"""Waypoints: the corners of a way to fly, each with the room to cut it at speed.
+"""Places waypoints, the corners of a path to fly, with clearance to cut them at speed.
 
 A body that turns with a_max from one straight piece into the next cuts the corner between them by
 v^2 |u - w|^2 / (8 a_max), u and w being the directions before and after. So corners are moved
-outwards by what a body at v_max would cut, as far as there is room, and each knows how much it may
+outwards by what a body at v_max would cut, as far as boxes allow, and each knows how much it may
 be cut and so how fast it may be flown.
 """
 
@@ -21,22 +21,23 @@ from mjcollect.geometry.polyline import path_length, tighten
 from mjcollect.guidance.distance_field import WAY_ROOM
 from mjcollect.scene.scene import Scene
 
-ROOMS = (WAY_ROOM, 1.5, 0.75)  # metres beside the way that are tried in turn
-SIGHT_SHARE = 0.3  # of that room: what a line of sight to a waypoint keeps
-STRAIGHT_SIGHT = 1.5  # metres that the line of sight to the aim keeps where nothing bends the way
-SHIFT_SHARE, CUT_SHARE = 0.4, 0.5  # of the room: what a moved corner keeps, and what is cut of it
-MOST_SHIFT = 15.0  # metres
-LEAST_CUT = 0.1  # metres
+CLEARANCES = (WAY_ROOM, 1.5, 0.75)  # metres of clearance that are tried in turn
+SIGHT_SHARE = 0.3  # A line of sight to a waypoint keeps this share of the clearance.
+STRAIGHT_SIGHT = 1.5  # metres of clearance of the line of sight to the aim on a straight path
+SHIFT_SHARE = 0.4  # A corner that is moved out keeps this share of the clearance.
+CUT_SHARE = 0.5  # A turn may cut this share of the clearance.
+MOST_SHIFT = 15.0  # metres by which a corner is moved out at most
+LEAST_CUT = 0.1  # metres by which a turn may cut every corner at least
 
 
 class Waypoints(NamedTuple):
-    """The way from a start to an aim, P points without the start; the last is the aim.
+    """Holds a path from a start to an aim as P points without the start; the last is the aim.
 
     Attributes:
-        points: (P, 3) m. remaining: (P,) m from each point along the others to the aim.
-        next_direction: (P, 3) unit vectors to the next point.
-        cut: (P,) m by which a turn may cut each.
-        sight: (P, M, 2, 3) boxes that a free line of sight to each misses.
+        points: (P, 3) m. remaining: (P,) m, from each point along the others to the aim.
+        next_direction: (P, 3), unit vectors to the next point.
+        cut: (P,) m, by how much a turn may cut each corner.
+        sight: (P, M, 2, 3) m, inflated boxes; a point is in sight where the line to it misses all.
     """
 
     points: Array
@@ -47,22 +48,22 @@ class Waypoints(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene, path: Array, ways: Sequence[Array]) -> Waypoints:
-        """Those of the shortest of some ways with most room beside it.
+        """Returns the waypoints of the shortest of the paths with most clearance.
 
         Args:
-            path: (P, 3) the tight path, start and aim included. ways: free polylines (P, 3) with
+            path: (P, 3), the tight path, start and aim included. ways: free polylines (P, 3) with
                 the same ends, not tight.
         """
         boxes, radius = scene.obstacles, scene.uav_radius
         if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
-        for room in ROOMS:
-            tight = [tighten(way, boxes, radius + room) for way in ways]
-            tight = [way for way in tight if _keeps(way, boxes, radius + 0.99 * room)]
+        for clearance in CLEARANCES:
+            tight = [tighten(way, boxes, radius + clearance) for way in ways]
+            tight = [way for way in tight if _keeps(way, boxes, radius + 0.99 * clearance)]
             if tight:
                 way = min(tight, key=path_length)
-                way, shift = _moved_out(way, scene, radius + SHIFT_SHARE * room)
-                return cls._from(scene, way, shift + CUT_SHARE * room, SIGHT_SHARE * room)
+                way, shift = _moved_out(way, scene, radius + SHIFT_SHARE * clearance)
+                return cls._from(scene, way, shift + CUT_SHARE * clearance, SIGHT_SHARE * clearance)
         return cls._from(scene, path, np.zeros(len(path)), 0.0)
 
     @classmethod
@@ -73,10 +74,10 @@ class Waypoints(NamedTuple):
         low, high = scene.obstacles[:, 0], scene.obstacles[:, 1]
         kept = []
         for before, point in itertools.pairwise(way):
-            # Less beside a box that the point itself is close to: else it would never be in sight.
+            # A box close to the point is inflated less, or the point would never be in sight.
             beside = np.maximum(low - point, point - high).max(axis=1)
             margin = np.clip(0.9 * beside, scene.uav_radius, scene.uav_radius + sight)
-            # Inflated boxes have corners, which must not hide it from the point before either.
+            # The corners of inflated boxes must not hide it from the point before it either.
             for less in (scene.uav_radius, scene.uav_radius / np.sqrt(3)):
                 hidden = _crosses(before, point, inflate(scene.obstacles, margin))
                 margin = np.where(hidden, less, margin)
@@ -95,7 +96,7 @@ def _keeps(way: Array, boxes: Array, radius: float) -> bool:
 
 
 def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:
-    """Which boxes (M, 2, 3) the segment between two points (3,) meets. (M,)."""
+    """Returns which (M,) boxes (M, 2, 3) the segment between two points (3,) meets."""
     step = end - start
     share = (boxes - start) / np.where(np.abs(step) < 1e-12, 1e-12, step)
     enter, leave = share.min(axis=1).max(axis=1), share.max(axis=1).min(axis=1)
@@ -103,16 +104,16 @@ def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:
 
 
 def _moved_out(way: Array, scene: Scene, radius: float) -> tuple[Array, Array]:
-    """Corners moved outwards as far as `radius` is kept; the way (P, 3), metres moved (P,)."""
+    """Returns the way (P, 3) with corners moved out while it keeps `radius`, and the shifts (m)."""
     way, shift = way.copy(), np.zeros(len(way))
     for i in range(1, len(way) - 1):
         before, after = way[i] - way[i - 1], way[i + 1] - way[i]
-        room = min(np.linalg.norm(before), np.linalg.norm(after))
+        reach = min(np.linalg.norm(before), np.linalg.norm(after))
         turn = before / np.linalg.norm(before) - after / np.linalg.norm(after)
         size = float(np.linalg.norm(turn))
         if size < 1e-3:
             continue
-        speed = min(scene.v_max, np.sqrt(2 * scene.a_max * room))
+        speed = min(scene.v_max, np.sqrt(2 * scene.a_max * reach))
         out = min((speed * size) ** 2 / (8 * scene.a_max), MOST_SHIFT)
         while out > LEAST_CUT / 2:
             moved = np.clip(way[i] + turn / size * out, *scene.bounds)

@@ -1,1 +1,1 @@
-"""Algorithm 1: networks, replay buffer, DDPG, the training loop, and the policy that it leaves."""
+"""Holds Algorithm 1: networks, replay buffer, DDPG, the training loop, and trained policies."""

@@ -1,4 +1,4 @@
-"""Settings of the learner, each a flag of the programs that train."""
+"""Defines the settings of the learner, each a flag of the programs that train."""
 
 from __future__ import annotations
 
@@ -11,82 +11,90 @@ from mjcollect.envs.episode import Rules
 
 @dataclass(frozen=True)
 class LearnConfig:
-    """Settings of the learner. Budgets count updates and environment steps, never seconds."""
+    """Holds the settings of the learner.
+
+    Budgets count updates and environment steps, never seconds.
+    """
 
     updates: int = 6_000
-    """Parameter updates in all (the paper's M episodes of P steps with U_2 updates each)."""
+    """Sets the number of updates in all (the paper: M episodes of P steps, U_2 updates each)."""
     least_updates: int = 1_000
-    """Updates after which training may stop early, see `gap`; the default counts as 0 where
-    learning goes on from a policy."""
+    """Forbids an early stop by --gap before this many updates; where learning goes on from a
+    policy, the default counts as 0."""
     gap: float = 0.05
-    """Seconds: stop when arriving from everywhere within this of the least cost, on average."""
+    """Stops when the policy arrives from every start and its mean cost is within this many seconds
+    of the least."""
     patience: int = 2_500
-    """Updates without a better evaluation after which training stops early."""
+    """Stops after this many updates without a better evaluation."""
     extra_updates: int = 10_000
-    """Further updates, at most, if by then no evaluated policy has arrived from every start."""
+    """Allows up to this many further updates while no evaluated policy arrives from every start."""
     envs: int = 64
-    """Simulations side by side."""
+    """Sets the number of simulations that run side by side."""
     u1: int = 1
-    """U_1: environment operations, in every simulation, before each round of updates."""
+    """Sets U_1, the slots flown in every simulation before each round of updates."""
     u2: int = 8
-    """U_2: updates in a round."""
+    """Sets U_2, the number of updates in a round."""
     batch: int = 256
-    """Transitions in a batch B."""
+    """Sets the size of a batch B, in transitions."""
     buffer: int = 200_000
-    """Capacity of the experience replay buffer D, in transitions."""
+    """Sets the capacity of the experience replay buffer D, in transitions."""
     width: int = 128
-    """Width of the two hidden layers of actor and critic."""
+    """Sets the width of the two hidden layers of actor and critic."""
     learner: Literal["lean", "torchrl"] = "lean"
-    """How updates are computed: hand-written gradients, or TorchRL's DDPGLoss; same numbers."""
+    """Computes updates with hand-written gradients (lean) or TorchRL's DDPGLoss (torchrl); both
+    give the same numbers."""
     optimizer: Literal["adam", "sgd"] = "adam"
-    """Gradient steps: Adam's, or the plain ones of Algorithm 1."""
+    """Takes the gradient steps of Adam (adam) or the plain ones of Algorithm 1 (sgd)."""
     actor_delay: int = 300
-    """Updates of the critic alone before the actor's begin."""
+    """Updates the critic alone for this many updates at the beginning."""
     gamma: float = 0.95
-    """Discount factor per slot."""
+    """Sets the discount factor per slot."""
     alpha_actor: float = 1e-3
-    """alpha^(theta): learning rate of the actor at the start."""
+    """Sets alpha^(theta), the learning rate of the actor at the start."""
     alpha_critic: float = 1e-3
-    """alpha^(w): learning rate of the critic at the start."""
+    """Sets alpha^(w), the learning rate of the critic at the start."""
     alpha_target: float = 0.01
-    """Target network learning rate."""
+    """Sets the learning rate of the target networks."""
     final_rate: float = 0.1
-    """Share of the learning rates left at the end, reached linearly."""
+    """Sets the share of both learning rates that is left at the end; they fall linearly."""
     average_rate: float = 0.002
-    """Rate of the Polyak average of the actors that is evaluated beside the actor; 0: none."""
+    """Sets the rate of the Polyak average of the actors, evaluated beside the actor; 0 for none."""
     flown: Literal["best", "last"] = "best"
-    """Which evaluated policy is flown: the best, or the last as in Algorithm 1."""
+    """Flies the best evaluated policy (best), or the last one as Algorithm 1 does (last)."""
     noise_min: float = 0.05
-    """Standard deviation of the Gaussian action noise in the calmest simulation, as a share of
-    a_max."""
+    """Sets the standard deviation of the Gaussian action noise in the calmest simulation, as a
+    share of a_max."""
     noise_max: float = 0.3
-    """The same in the wildest; the others lie between."""
+    """Sets the same in the noisiest simulation; the others lie evenly between."""
     demonstrations: int = 10_000
-    """Transitions of the guidance law, with noise, that start the buffer; 0 for none."""
+    """Fills the buffer first with this many transitions of the guidance law with noise; 0 for
+    none."""
     guided_share: float = 0.25
-    """Share of the simulations flown by the guidance law at first; 0 for none."""
+    """Lets the guidance law fly this share of the simulations at first; 0 for none."""
     guided_until: float = 0.6
-    """Share of the updates after which the policy flies all simulations."""
+    """Lets the policy fly all simulations after this share of the updates."""
     eval_every: int = 500
-    """Updates between evaluations without noise."""
+    """Evaluates the policy, without noise, every this many updates."""
     eval_episodes: int = 32
-    """Starts of an evaluation: the segment's own point, then seeded ones all over its ball."""
+    """Sets the number of starts of an evaluation: the segment's own point, then random ones in its
+    ball."""
     threads: int = 1
-    """MuJoCo's threads; the results do not depend on them."""
+    """Sets the number of MuJoCo's threads, on which the results do not depend."""
     observation: str = "path"
-    """Observation: path (guided, as seen from the path), guided, robust (guided, and what last kept
-    the flight from its command), or paper."""
+    """Selects the observation: guided, path (guided in the frame of the path), robust (guided, and
+    what last kept the flight from its command), or paper."""
     reward: str = "lost"
-    """Reward preset: lost, time, careful (crashes cost more) or paper."""
+    """Selects the reward: lost (time lost), time (time flown), careful (a crash costs more) or
+    paper."""
     shield: bool = True
-    """Bend commands that leave no way to stop without touching anything; else a crash ends an
-    episode."""
+    """Bends commands that leave no way to stop without touching anything; without the shield, a
+    crash ends an episode."""
 
     def __post_init__(self) -> None:
-        """Check what would fail late.
+        """Checks what would fail late.
 
         Raises:
-            ValueError: naming field, value and fix.
+            ValueError: a setting is out of range; the message names field, value and fix.
         """
         counts = ("updates", "patience", "envs", "u1", "u2", "batch", "width", "threads")
         for field in (*counts, "eval_every", "eval_episodes"):
@@ -115,9 +123,9 @@ class LearnConfig:
                 f"noise_max: {self.noise_max}: must be at least noise_min = {self.noise_min}, "
                 "and both numbers from 0 on"
             )
-        self.rules  # noqa: B018  (raises for unknown names)
+        self.rules  # noqa: B018  (raises ValueError for unknown names)
 
     @property
     def rules(self) -> Rules:
-        """Of the episodes that are learned and flown."""
+        """Returns the rules of the episodes that are learned and flown."""
         return Rules(self.observation, self.reward, self.gamma, self.shield)

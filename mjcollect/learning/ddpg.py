@@ -1,7 +1,9 @@
-"""DDPG, Algorithm 1 of the paper, from TorchRL's parts: networks, loss, targets, replay buffer.
+"""Implements DDPG, Algorithm 1 of the paper, with TorchRL's parts: read it from top to bottom.
 
 Names follow the paper: learning rates alpha_critic (alpha^(w)) and alpha_actor (alpha^(theta)),
-discount gamma, alpha_target, U_1 environment operations, then U_2 updates.
+discount gamma, alpha_target, experience replay buffer D, U_1 environment operations, then U_2
+updates. `algorithm_1` is the loop alone; `trainer.Trainer` is the same loop with demonstrations,
+evaluation, checkpoints and an early stop, and `fast_ddpg` makes the same update in less time.
 """
 
 from __future__ import annotations
@@ -11,29 +13,104 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
-from torchrl.data import TensorDictReplayBuffer
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import nn
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import EnvBase
+from torchrl.modules import MLP, TanhModule, ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
 
-from mjcollect.learning.networks import make_actor, make_critic
-from mjcollect.learning.replay import sample
+# A transition {S, A, R, S', D'} is stored under these keys.
+KEYS = (
+    "observation",
+    "action",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "done"),
+    ("next", "terminated"),
+)
+
+
+def make_actor(observation_size: int, width: int) -> TensorDictSequential:
+    """Returns the policy pi(S; theta), from observations (..., D) to actions (..., 3) in [-1, 1].
+
+    Actions are in units of a_max.
+    """
+    net = TensorDictModule(
+        _network(observation_size, 3, width), in_keys=["observation"], out_keys=["param"]
+    )
+    return TensorDictSequential(net, TanhModule(in_keys=["param"], out_keys=["action"]))
+
+
+def make_critic(observation_size: int, width: int) -> ValueOperator:
+    """Returns the value q(S, A; w), from observations (..., D) and actions (..., 3) to (..., 1)."""
+    net = _network(observation_size + 3, 1, width)
+    return ValueOperator(net, in_keys=["observation", "action"])
+
+
+def _network(inputs: int, outputs: int, width: int) -> MLP:
+    net = MLP(
+        in_features=inputs,
+        out_features=outputs,
+        num_cells=[width, width],
+        activation_class=nn.ReLU,
+        norm_class=nn.LayerNorm,
+        norm_kwargs=[{"normalized_shape": width}] * 2,
+    )
+    shrink_last(net)
+    return net
+
+
+def shrink_last(net: nn.Sequential) -> None:
+    """Shrinks the last layer: actions and values start near zero (Lillicrap et al., sec. 7)."""
+    last = [layer for layer in net if isinstance(layer, nn.Linear)][-1]
+    with torch.no_grad():
+        last.weight.mul_(0.1)
+        last.bias.zero_()
+
+
+def make_buffer(capacity: int, batch: int, seed: int) -> TensorDictReplayBuffer:
+    """Returns an experience replay buffer D, sampled uniformly by a random stream of its own.
+
+    Args:
+        capacity: most transitions that it holds. batch: transitions in a sample.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    return TensorDictReplayBuffer(
+        storage=LazyTensorStorage(capacity), batch_size=batch, generator=generator
+    )
+
+
+def sample(buffer: TensorDictReplayBuffer, count: int) -> TensorDict:
+    """Returns `count` batches (count * batch,) at once, the same that `count` calls would draw."""
+    # This avoids buffer.sample(n), which warns of any size but the buffer's own.
+    index, _ = buffer.sampler.sample(buffer.storage, count * buffer.batch_size)
+    return buffer.storage.get(index)
+
+
+def transitions(step: TensorDictBase) -> TensorDict:
+    """Returns the part of environment steps that is stored, flat over the batch."""
+    return step.select(*KEYS).reshape(-1)
 
 
 def make_optimizer(kind: str, parameters: Any) -> torch.optim.Optimizer:
-    """Adam, or for `sgd` the plain gradient steps of Algorithm 1; the rate is set at every update.
+    """Returns Adam, or for `sgd` the plain gradient steps of Algorithm 1.
 
-    The critic's loss is the mean square error: its gradient is twice that in Algorithm 1.
+    The rate is set at every update. The critic's loss is the mean square error, whose gradient is
+    twice that in Algorithm 1.
     """
-    made = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}[kind]
-    return made(parameters, lr=1e-3, fused=True)
+    optimizer = {"adam": torch.optim.Adam, "sgd": torch.optim.SGD}[kind]
+    return optimizer(parameters, lr=1e-3, fused=True)
 
 
 class BaseLearner:
-    """Networks, learning rates and the U_2 loop; how one update is made is the subclass's matter.
+    """Holds networks, learning rates and the U_2 loop; subclasses compute the update.
 
     Attributes:
-        actor, critic: the networks. averaged: Polyak average of the actors, to evaluate.
-        gamma, alpha_target, average_rate: as given. kind: of the optimiser. updates: made so far.
+        actor, critic: the networks. averaged: Polyak average of the actors, for evaluation.
+        gamma, alpha_target, average_rate: as given. kind: of the optimiser.
+        updates: number of updates made so far.
     """
 
     def __init__(
@@ -53,10 +130,11 @@ class BaseLearner:
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
-        """Build everything on `device`; learning rates fall linearly to `final_rate` of theirs.
+        """Builds everything on `device`; `LearnConfig` explains the settings.
 
         Args:
-            weights: state of an actor of this size to start from.
+            observation_size: D. total_updates: updates after which the learning rates have fallen
+                to their `final_rate`. weights: state of an actor of this size to start from.
         """
         self.device = device
         self.kind = optimizer
@@ -73,17 +151,17 @@ class BaseLearner:
 
     @property
     def rates(self) -> tuple[float, float]:
-        """Learning rates of critic and actor at the next update."""
+        """Returns the learning rates of critic and actor at the next update."""
         share = min(self.updates / max(self._total, 1), 1.0)
         factor = 1.0 + (self._final_rate - 1.0) * share
         return self._rates[0] * factor, self._rates[1] * factor * (self.updates >= self._delay)
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-        """One critic, actor and target update on a batch of transitions; the two losses."""
+        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
         raise NotImplementedError
 
     def learn(self, buffer: TensorDictReplayBuffer, count: int) -> torch.Tensor:
-        """`count` updates on batches drawn in one call: losses (count, 2), critic's and actor's.
+        """Makes `count` updates; returns the losses (count, 2) of critic and actor.
 
         The batches are those that `count` calls of `buffer.sample()` would draw.
         """
@@ -92,19 +170,19 @@ class BaseLearner:
         return torch.stack([torch.stack(pair) for pair in losses])
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, targets, average, optimisers and the number of updates, as copies."""
+        """Returns copies of networks, targets, average, optimisers and the number of updates."""
         raise NotImplementedError
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         raise NotImplementedError
 
 
 class Learner(BaseLearner):
-    """The update from TorchRL's parts: DDPGLoss, SoftUpdate, autograd."""
+    """Computes the update from TorchRL's parts: DDPGLoss, SoftUpdate, autograd."""
 
     def __init__(self, observation_size: int, **settings: Any) -> None:
-        """Take the keywords of `BaseLearner`."""
+        """Takes the keyword arguments of `BaseLearner`."""
         super().__init__(observation_size, **settings)
         self.loss = DDPGLoss(self.actor, self.critic, delay_actor=True, delay_value=True)
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=self.gamma)
@@ -117,14 +195,14 @@ class Learner(BaseLearner):
         )
 
     def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-        """One critic, actor and target update on a batch of transitions; the two losses."""
+        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
         losses = self.loss(batch)
         optimizers = (self.critic_optimizer, self.actor_optimizer)
         for optimizer, rate in zip(optimizers, self.rates, strict=True):
             optimizer.param_groups[0]["lr"] = rate
             optimizer.zero_grad(set_to_none=True)
-        # Both gradients before either step: the actor's goes back through the critic, and autograd
-        # does not notice that a step has changed the critic's weights under the detached copy.
+        # Both gradients come before either step: the actor's goes back through the critic, and
+        # autograd does not notice that a step changed the critic's weights under the detached copy.
         losses["loss_value"].backward()
         losses["loss_actor"].backward()
         for optimizer in optimizers:
@@ -138,7 +216,7 @@ class Learner(BaseLearner):
         return losses["loss_value"].detach(), losses["loss_actor"].detach()
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, targets, average, optimisers and the number of updates, as copies."""
+        """Returns copies of networks, targets, average, optimisers and the number of updates."""
         return copy.deepcopy(
             {
                 "networks": self.loss.state_dict(),
@@ -150,9 +228,51 @@ class Learner(BaseLearner):
         )
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         self.loss.load_state_dict(state["networks"])
         self.averaged.load_state_dict(state["averaged"])
         self.critic_optimizer.load_state_dict(state["critic_optimizer"])
         self.actor_optimizer.load_state_dict(state["actor_optimizer"])
         self.updates = state["updates"]
+
+
+def algorithm_1(
+    env: EnvBase,
+    learner: BaseLearner,
+    buffer: TensorDictReplayBuffer,
+    *,
+    updates: int,
+    u1: int,
+    u2: int,
+    noise: float,
+    generator: torch.Generator,
+) -> None:
+    """Runs Algorithm 1 of the paper, and nothing else.
+
+    Args:
+        env: N simulations. updates: number of updates in all.
+        u1: U_1, environment operations in a round. u2: U_2, updates in a round.
+        noise: standard deviation of the Gaussian perturbation of each action, as a share of a_max.
+        generator: source of this noise.
+    """
+    now = env.reset()
+    while len(buffer) < (buffer.batch_size or 1):
+        now = _operate(env, learner, buffer, now, noise, generator)
+    while learner.updates < updates:
+        for _ in range(u1):
+            now = _operate(env, learner, buffer, now, noise, generator)
+        learner.learn(buffer, u2)
+
+
+@torch.no_grad()
+def _operate(
+    env: EnvBase, learner: BaseLearner, buffer: TensorDictReplayBuffer, now: TensorDictBase,
+    noise: float, generator: torch.Generator,
+) -> TensorDictBase:  # fmt: skip
+    """Flies A = pi(S; theta) + noise for a slot, puts {S, A, R, S', D'} into D, returns S'."""
+    step = learner.actor(now)
+    drawn = torch.randn(step["action"].shape, generator=generator) * noise
+    step["action"] = (step["action"] + drawn).clamp(-1.0, 1.0)
+    step, after = env.step_and_maybe_reset(step)
+    buffer.extend(transitions(step))
+    return after

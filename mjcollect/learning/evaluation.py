@@ -1,4 +1,4 @@
-"""Flying a policy without noise from many starts, and the named random streams of a seed."""
+"""Evaluates policies by flying them without noise from many starts."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from mjcollect.learning.random_streams import stream
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A policy flown without noise from many starts.
+    """Holds the result of flying a policy without noise from many starts.
 
     Attributes:
         success_rate: share of the starts from which it arrived.
         point_rate: share of the courses on which it arrived from the start point itself.
-        point_time: seconds in which it did so, on average; NaN if it never did.
-        mean_time: over the arrivals, in seconds; NaN if there were none.
-        mean_cost: the same with what the places of the stops cost on the next leg.
-        mean_return: undiscounted return over all starts.
-        failure_seconds: that a start without arrival counts for in ranking; infinite: one more
-            arrival is better, however late.
+        point_time: mean time of these arrivals (s), NaN if there were none.
+        mean_time: mean time of all arrivals (s), NaN if there were none.
+        mean_cost: the same plus the time that the places of the stops cost on the next segment.
+        mean_return: mean undiscounted return over all starts.
+        failure_seconds: time for which a start without arrival counts in ranking (s); if it is
+            infinite, one more arrival is better, however late.
         shield_share: share of all slots flown in which the shield changed the command.
     """
 
@@ -45,7 +45,7 @@ class Evaluation:
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """Larger is better: arrive from the point, from everywhere, then sooner."""
+        """Returns a tuple that is larger for better: arrive from the point, from all, then soon."""
         cost = self.mean_cost if math.isfinite(self.mean_cost) else math.inf
         if math.isfinite(self.failure_seconds):
             return (self.point_rate, -cost - self.failure_seconds * (1.0 - self.success_rate))
@@ -63,11 +63,12 @@ class Evaluator:
         disturbances: Disturbances | None = None,
         failure_seconds: float = math.inf,
     ) -> None:
-        """Draw the starts on every course, of one leg each, from the stream `evaluate`.
+        """Draws the starts on every course, each of one segment, from the stream `evaluate`.
 
         Args:
-            disturbances: of len(courses) * config.eval_episodes simulations, course by course.
-            failure_seconds: see `Evaluation`.
+            disturbances: those of len(courses) * config.eval_episodes simulations, course by
+                course, if any.
+            failure_seconds: explained at `Evaluation` (s).
         """
         self._failure_seconds = failure_seconds
         rng, each = np.random.default_rng(stream(seed, "evaluate")), config.eval_episodes
@@ -96,7 +97,7 @@ class Evaluator:
         )
 
     def __call__(self, policy: Callable[[np.ndarray], np.ndarray]) -> Evaluation:
-        """Evaluate `policy`: observations (N, D) float32 -> actions (N, 3)."""
+        """Evaluates a policy from observations (N, D) float32 to actions (N, 3)."""
         sims, count = self.sims, len(self._q)
         if self._fresh is not None:
             assert sims.episodes.disturbances is not None
@@ -128,18 +129,18 @@ class Evaluator:
         )
 
     def law(self) -> Evaluation:
-        """Evaluate the guidance law."""
+        """Evaluates the guidance law."""
         return self(lambda _: self.sims.law())
 
     def close(self) -> None:
-        """Stop the simulations' threads."""
+        """Stops the simulations' threads."""
         self.sims.close()
 
 
 def _least_time(course: Course, q: np.ndarray) -> float:
-    """Estimate of the least `Evaluation.mean_cost` in s from starts (n, 3) on a course's one leg.
+    """Estimates the least `Evaluation.mean_cost` (s) from starts (n, 3) on a course of one segment.
 
-    Whole slots along the shortest paths, and a stop where the ball is nearest to what follows.
+    It assumes whole slots along the shortest paths, and a stop in the ball nearest to what follows.
     """
     scene, guide = course.scene, course.guidance[0]
     saved = 0.0 if guide.next_goal is None else guide.tolerance / scene.v_max
@@ -147,7 +148,7 @@ def _least_time(course: Course, q: np.ndarray) -> float:
 
 
 def least_slots(guide: Guidance, q: np.ndarray) -> np.ndarray:
-    """Estimate (N,) of the least slots from rest at q (N, 3): along the way, into the ball."""
+    """Estimates the least number of slots (N,) from rest at q (N, 3), along the way to the ball."""
     world = World.stack([guide.scene])
     beside = float(np.linalg.norm(guide.aim - guide.goal))
     distance, _ = guide.query(q)

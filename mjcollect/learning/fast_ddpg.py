@@ -1,9 +1,9 @@
-"""The same DDPG update as `ddpg.Learner`'s, with less overhead: gradients written out by hand.
+"""Computes the DDPG update of `ddpg.Learner` faster, with gradients written out by hand.
 
 All parameters of a network lie in one flat vector, of which the layers are views, so Adam and the
 soft update are one call each; the backward pass writes straight into a flat gradient. Losses and
-gradients are those of TorchRL's DDPGLoss (tested). Only for the networks of `make_actor` and
-`make_critic`: hidden layers of Linear, LayerNorm, ReLU, then a Linear.
+gradients are those of TorchRL's DDPGLoss (tested). It works only for the networks of `make_actor`
+and `make_critic`: hidden layers of Linear, LayerNorm, ReLU, then a Linear.
 """
 
 from __future__ import annotations
@@ -16,20 +16,19 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.data import TensorDictReplayBuffer
 
-from mjcollect.learning.ddpg import BaseLearner, Learner, make_optimizer
+from mjcollect.learning.ddpg import BaseLearner, Learner, make_optimizer, sample
 from mjcollect.learning.norm_relu import norm_relu_backward
-from mjcollect.learning.replay import sample
 
-EPS = 1e-5  # nn.LayerNorm's
+EPS = 1e-5  # The default of nn.LayerNorm, which `make_actor` and `make_critic` use.
 
 
 class Layers(NamedTuple):
-    """A network's layers, or their gradients, as views of one flat vector.
+    """Holds a network's layers, or their gradients, as views of one flat vector.
 
     Attributes:
-        flat: (P,), in the order of the module's parameters.
-        hidden: per hidden layer the Linear's weight and bias, the LayerNorm's weight and bias.
-        weight, bias: of the output layer.
+        flat: (P,) all numbers, in the order of the module's parameters.
+        hidden: the Linear's weight and bias and the LayerNorm's, for each hidden layer.
+        weight, bias: those of the output layer.
     """
 
     flat: Tensor
@@ -39,7 +38,7 @@ class Layers(NamedTuple):
 
     @classmethod
     def of(cls, module: nn.Module, flat: Tensor) -> Layers:
-        """Views of `flat` (P,) in the shapes of the module's parameters."""
+        """Returns views of `flat` (P,) in the shapes of the module's parameters."""
         sizes = [p.numel() for p in module.parameters()]
         shapes = [p.shape for p in module.parameters()]
         parts = [part.view(s) for part, s in zip(flat.split(sizes), shapes, strict=True)]
@@ -48,7 +47,7 @@ class Layers(NamedTuple):
 
     @classmethod
     def take(cls, module: nn.Module) -> Layers:
-        """Move the module's parameters into one vector, of which they become views."""
+        """Moves the module's parameters into one vector, of which they become views."""
         layers = cls.of(module, nn.utils.parameters_to_vector(module.parameters()).detach())
         views = [*(part for layer in layers.hidden for part in layer), layers.weight, layers.bias]
         for parameter, view in zip(module.parameters(), views, strict=True):
@@ -57,7 +56,12 @@ class Layers(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What the backward pass needs of a hidden layer: inputs, outputs, what is normed, the norm."""
+    """Holds what the backward pass needs of a hidden layer of width w.
+
+    Attributes:
+        x, h, z: (n, in) inputs, (n, w) outputs, (n, w) the LayerNorm's inputs.
+        mean, rstd: (n, 1) mean and 1 / standard deviation of the rows of z.
+    """
 
     x: Tensor
     h: Tensor
@@ -67,7 +71,7 @@ class Record(NamedTuple):
 
 
 def forward(net: Layers, x: Tensor) -> tuple[Tensor, list[Record]]:
-    """Outputs (n, out) for inputs (n, in), and the record of the hidden layers."""
+    """Returns the outputs (n, out) for inputs (n, in), and the records of the hidden layers."""
     records = []
     for weight, bias, scale, shift in net.hidden:
         z = torch.addmm(bias, x, weight.t())
@@ -79,11 +83,12 @@ def forward(net: Layers, x: Tensor) -> tuple[Tensor, list[Record]]:
 
 
 def backward(net: Layers, grad: Layers, records: list[Record], d: Tensor, rows: int) -> Tensor:
-    """Write the parameters' gradient; return that before the first norm, (n, width).
+    """Writes the gradient by the parameters; returns that by the first norm's inputs, (n, width).
 
     Args:
-        net, records: as of `forward`. grad: written to. d: (n, out), gradient of the outputs.
-        rows: the first `rows` rows alone count for the parameters, all for what is returned.
+        net, records: those of `forward`. grad: what is written to.
+        d: (n, out) gradient by the outputs.
+        rows: number of leading rows that count for the parameters; all count for what is returned.
     """
     torch.mm(d[:rows].t(), records[-1].h[:rows], out=grad.weight)
     torch.sum(d[:rows], 0, out=grad.bias)
@@ -100,10 +105,10 @@ def backward(net: Layers, grad: Layers, records: list[Record], d: Tensor, rows: 
 
 
 class LeanLearner(BaseLearner):
-    """Networks, targets, optimiser and the U_2 loop, in plain torch without autograd."""
+    """Computes the update in plain torch, without autograd."""
 
     def __init__(self, observation_size: int, **settings: Any) -> None:
-        """Take the keywords of `BaseLearner`."""
+        """Takes the keyword arguments of `BaseLearner`."""
         super().__init__(observation_size, **settings)
         self.target_actor = copy.deepcopy(self.averaged)
         self.target_critic = copy.deepcopy(self.critic).requires_grad_(False)
@@ -121,20 +126,20 @@ class LeanLearner(BaseLearner):
         self.optimizer = make_optimizer(self.kind, groups)
 
     def update(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """One critic, actor and target update on a batch of transitions; the two losses."""
+        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
         return self._update(*self._columns(batch))
 
     def learn(self, buffer: TensorDictReplayBuffer, count: int) -> Tensor:
-        """As `BaseLearner.learn`."""
+        """Makes `count` updates; returns the losses (count, 2) of critic and actor."""
         columns = self._columns(sample(buffer, count).to(self.device))
         batches = zip(*(column.chunk(count) for column in columns), strict=True)
         return torch.stack([torch.stack(self._update(*batch)) for batch in batches])
 
     def _columns(self, batch: TensorDictBase) -> tuple[Tensor, ...]:
-        """S, A, R, S' and the discount of what follows, each (n, ...)."""
+        """Returns S, A, R, S' and the discount of what follows, each (n, ...)."""
         after = batch["next"]
         gamma = self.gamma
-        if "steps_to_next_obs" in batch:  # written by TorchRL's multi-step transforms
+        if "steps_to_next_obs" in batch:  # TorchRL's multi-step transforms write this.
             gamma = gamma ** batch["steps_to_next_obs"].view_as(after["reward"])
         discount = gamma * ~after["terminated"]
         return (
@@ -160,32 +165,32 @@ class LeanLearner(BaseLearner):
     def _gradient(
         self, s: Tensor, a: Tensor, r: Tensor, s_next: Tensor, discount: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Write both gradients, at the same parameters; the two losses."""
+        """Writes both gradients, at the same parameters; returns the two losses."""
         n = len(s)
         a_next = forward(self._target_actor, s_next)[0].tanh_()
         q_next = forward(self._target_critic, torch.cat([s_next, a_next], 1))[0]
         u = torch.addcmul(r, discount, q_next)
         action, actor_records = forward(self._actor, s)
         action.tanh_()
-        # One pass of the critic for both losses: q(S, A) in the first n rows, q(S, pi(S)) below.
+        # One critic pass gives both losses: q(S, A) in the first n rows, q(S, pi(S)) below.
         both = torch.cat([torch.cat([s, a], 1), torch.cat([s, action], 1)])
         q, critic_records = forward(self._critic, both)
         error = q[:n] - u
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        d = d_action * (1 - action * action)  # derivative of tanh
+        d = d_action * (1 - action * action)  # The factor is the derivative of tanh.
         backward(self._actor, self._gradients[1], actor_records, d, n)
         return error.square().mean(), -q[n:].mean()
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, targets, average, optimiser and the number of updates."""
+        """Returns copies of networks, targets, average, optimiser and the number of updates."""
         vectors = {name: layers.flat.clone() for name, layers in self._vectors.items()}
         optimizer = copy.deepcopy(self.optimizer.state_dict())
         return {**vectors, "optimizer": optimizer, "updates": self.updates}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         for name, layers in self._vectors.items():
             layers.flat.copy_(state[name])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -202,5 +207,5 @@ class LeanLearner(BaseLearner):
         }
 
 
+# `LearnConfig.learner` names one of these.
 LEARNERS: dict[str, type[BaseLearner]] = {"lean": LeanLearner, "torchrl": Learner}
-"""The update by name: hand-written, or TorchRL's loss and soft update with autograd."""

@@ -1,7 +1,7 @@
-"""Backward pass of a hidden layer's LayerNorm and ReLU, in one loop over the rows.
+"""Computes the backward pass of a hidden layer's LayerNorm and ReLU in one loop over the rows.
 
-Compiled for the CPU, where torch would make six passes over memory; in torch for other devices.
-The forward pass stays torch's own: where an activation lies within rounding of zero, another
+The loop is compiled for the CPU, where torch would make six passes over memory; other devices use
+torch. The forward pass stays torch's own: where an activation lies within rounding of zero, another
 order of summation would switch its ReLU, and gradients would no longer be DDPGLoss's to 1e-6.
 """
 
@@ -23,13 +23,14 @@ Out = tuple[Tensor, Tensor, Tensor]
 def norm_relu_backward(
     d: Tensor, h: Tensor, z: Tensor, mean: Tensor, rstd: Tensor, scale: Tensor, rows: int, out: Out
 ) -> Tensor:
-    """Gradient by z of h = ReLU(scale * (z - mean) * rstd + shift), given that by h.
+    """Returns the gradient by z (n, w) of h = ReLU(scale * (z - mean) * rstd + shift).
 
     Args:
-        d: (n, w), gradient by h; overwritten. h, z: (n, w).
-        mean, rstd: (n, 1), mean and 1 / standard deviation of the rows of z. scale: (w,).
-        rows, out: sums over the first `rows` rows are written to `out`, each (w,): gradients by a
-            bias added to z, by scale and by shift.
+        d: (n, w) gradient by h, which may be overwritten. h, z: (n, w). scale: (w,).
+        mean, rstd: (n, 1) mean and 1 / standard deviation of the rows of z.
+        rows: number of leading rows that count for `out`.
+        out: three vectors (w,), to which the gradients by a bias added to z, by scale and by shift
+            are written.
     """
     if d.device.type != "cpu":
         return torch_backward(d, h, z, mean, rstd, scale, rows, out)
@@ -40,7 +41,7 @@ def norm_relu_backward(
 def torch_backward(
     d: Tensor, h: Tensor, z: Tensor, mean: Tensor, rstd: Tensor, scale: Tensor, rows: int, out: Out
 ) -> Tensor:
-    """`norm_relu_backward` in torch."""
+    """Computes `norm_relu_backward` in torch, with the same arguments."""
     to_bias, to_scale, to_shift = out
     d = d * (h > 0)
     normed = (z - mean) * rstd
@@ -53,8 +54,8 @@ def torch_backward(
     return d
 
 
-# Sums over a row may be regrouped, else they cannot use vector instructions. The regrouping is
-# fixed when compiled: the same machine gives the same bits.
+# Sums over a row may be regrouped, because else they cannot use vector instructions. The regrouping
+# is fixed at compile time, so the same machine gives the same bits.
 @functools.partial(compiled, fastmath={"reassoc", "contract", "nsz"})
 def _backward(
     rows: int,
@@ -68,7 +69,7 @@ def _backward(
     to_scale: Floats,
     to_shift: Floats,
 ) -> None:
-    zero = d.dtype.type(0)  # a plain 0.0 would make every sum a double
+    zero = d.dtype.type(0)  # A plain 0.0 would turn every sum into a double.
     n, width = d.shape
     to_bias[:], to_scale[:], to_shift[:] = zero, zero, zero
     for i in range(n):

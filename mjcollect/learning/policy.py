@@ -1,4 +1,4 @@
-"""Trained policies: a TorchRL actor, a plain NumPy one for single decisions, and their files."""
+"""Defines trained policies: a TorchRL actor, a NumPy one for single decisions, and their files."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from torch import nn
 from torchrl.modules import TanhModule
 
 from mjcollect.envs.observation import OBSERVATIONS
-from mjcollect.learning.networks import make_actor
+from mjcollect.learning.ddpg import make_actor
 from mjcollect.scene.assets import asset_path
 
-SHIPPED = Path("shipped")  # stands for the package's own policy, wherever it is installed
-NO_POLICY = Path("none")  # stands for learning from nothing
-# What reading a file that is no policy ends in.
+SHIPPED = Path("shipped")  # This stands for the package's own policy, wherever it is installed.
+NO_POLICY = Path("none")  # This stands for learning from nothing.
+# Reading a file that is no policy ends in one of these.
 UNREADABLE = (
     OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,
     StopIteration, pickle.UnpicklingError, safetensors.SafetensorError,
@@ -34,20 +34,20 @@ UNREADABLE = (
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """An actor that acts without noise.
+    """Flies by an actor without noise.
 
-    A single decision is made in plain NumPy, with the weights as they are at the first one: where
-    the actor goes on learning, make a new policy.
+    Single decisions are computed in NumPy, with the weights as they are at the first one: where the
+    actor goes on learning, make a new policy.
 
     Attributes:
-        actor: TorchRL module, observation -> action. observation: name of the observation.
+        actor: TorchRL module from observation to action. observation: name of the observation.
     """
 
     actor: TensorDictSequential
     observation: str
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """Actions (N, 3) for observations (N, D) float32."""
+        """Returns actions (N, 3) in units of a_max for observations (N, D) float32."""
         if len(observation) == 1:
             return self.plain(observation[0])[None]
         device = next(self.actor.parameters()).device
@@ -57,21 +57,25 @@ class TrainedPolicy:
 
     @cached_property
     def plain(self) -> PlainActor:
-        """The actor for single observations."""
+        """Returns the actor for single observations."""
         return PlainActor(self.actor)
 
     @property
     def inputs(self) -> int:
-        """Numbers in an observation."""
+        """Returns the size D of an observation."""
         return next(self.actor.parameters()).shape[1]
 
     @property
     def width(self) -> int:
-        """Width of the hidden layers."""
+        """Returns the width of the hidden layers."""
         return len(next(self.actor.parameters()))
 
     def save(self, path: Path) -> None:
-        """Write policy.pt, or policy.safetensors: tensors and names, loaded without unpickling."""
+        """Writes a .pt file, or a .safetensors file, which is loaded without unpickling.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
         weights = {
             name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
         }
@@ -79,7 +83,7 @@ class TrainedPolicy:
             about = json.dumps({"observation": self.observation})
             path.write_bytes(safetensors.torch.save(weights, {"policy": about}))
             return
-        # Through memory: on a full disk torch.save itself raises no OSError.
+        # This goes through memory because torch.save raises no OSError on a full disk.
         buffer = io.BytesIO()
         content = {"actor": weights, "observation": self.observation}
         torch.save(content, buffer)
@@ -87,7 +91,11 @@ class TrainedPolicy:
 
     @classmethod
     def load(cls, path: Path) -> TrainedPolicy:
-        """Read what `save` wrote."""
+        """Reads a file that `save` wrote.
+
+        Raises:
+            one of UNREADABLE: the file is no policy.
+        """
         if path.suffix == ".safetensors":
             with safetensors.safe_open(path, "pt") as file:
                 weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -104,12 +112,12 @@ class TrainedPolicy:
 
 
 def weights_file(path: Path) -> Path:
-    """The file of a policy; of the package's own for `SHIPPED`."""
+    """Returns the file of a policy: that of the package's own for `SHIPPED`, else `path`."""
     return asset_path("policies", "generalist.safetensors") if path == SHIPPED else path
 
 
 def policy_digest(path: Path) -> str:
-    """What tells one file of weights, or `SHIPPED`, from another, wherever it lies."""
+    """Returns a hash of a policy's file, or of `SHIPPED`, that does not depend on its path."""
     return hashlib.sha256(weights_file(path).read_bytes()).hexdigest()[:16]
 
 
@@ -118,7 +126,7 @@ Float32 = NDArray[np.float32]
 
 @dataclass
 class _Hidden:
-    """ReLU(LayerNorm(weight x + bias)), or without the norm."""
+    """Computes ReLU(LayerNorm(weight x + bias)), or the same without the norm."""
 
     weight: Float32  # (width, inputs)
     bias: Float32
@@ -127,7 +135,7 @@ class _Hidden:
     def __call__(self, x: Float32) -> Float32:
         x = self.weight @ x
         x += self.bias
-        if self.norm is not None:  # the mean is zero: see `normalise`
+        if self.norm is not None:  # The mean is zero since `normalise`.
             scale, shift, epsilon = self.norm
             x *= 1.0 / np.sqrt(x.dot(x) / np.float32(len(x)) + epsilon)
             x *= scale
@@ -135,17 +143,17 @@ class _Hidden:
         return np.maximum(x, 0.0, out=x)
 
     def normalise(self, norm: nn.LayerNorm) -> None:
-        """Add the norm; its mean is taken off weight and bias once instead of in every call."""
+        """Adds the norm; subtracts its mean from weight and bias once, not in every call."""
         self.norm = _array(norm.weight), _array(norm.bias), np.float32(norm.eps)
         self.weight = np.ascontiguousarray(self.weight - self.weight.mean(axis=0))
         self.bias = self.bias - self.bias.mean()
 
 
 class PlainActor:
-    """What `ddpg.make_actor` made, as it was when this was built."""
+    """Computes in NumPy what an actor of `ddpg.make_actor` did when this was built."""
 
     def __init__(self, actor: nn.Module) -> None:
-        """Copy the weights of linear layers, each with LayerNorm and ReLU, and a last tanh.
+        """Copies the weights of linear layers, each with LayerNorm and ReLU, and a last tanh.
 
         Raises:
             ValueError: the actor has other parts.
@@ -164,7 +172,7 @@ class PlainActor:
         self._hidden, self._last = layers[:-1], layers[-1]
 
     def __call__(self, observation: Float32) -> Float32:
-        """Action (3,) for an observation (D,), both float32."""
+        """Returns the action (3,) in units of a_max for an observation (D,), both float32."""
         x = observation
         for layer in self._hidden:
             x = layer(x)

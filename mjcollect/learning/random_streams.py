@@ -1,4 +1,4 @@
-"""Named random streams of one seed."""
+"""Derives named, independent random streams from one seed."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 
 def stream(seed: int, name: str) -> np.random.SeedSequence:
-    """The named random stream of a seed: streams of different names are independent."""
+    """Returns the named random stream of a seed; streams of different names are independent."""
     return np.random.SeedSequence([seed, *name.encode()])
 
 
 def torch_seed(seed: int, name: str) -> int:
-    """Seed for a torch generator from the named stream."""
+    """Returns a seed for a torch generator from the named stream."""
     return int(stream(seed, name).generate_state(1, np.uint64)[0] >> 1)

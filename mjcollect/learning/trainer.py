@@ -1,4 +1,4 @@
-"""The training loop of Algorithm 1 over N simulations at once, with evaluation and checkpoints."""
+"""Runs Algorithm 1 over N simulations at once, with evaluation, checkpoints and an early stop."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from mjcollect.envs.batch import BatchedFlightEnv, Fleet, Simulations
 from mjcollect.envs.course import Course
 from mjcollect.flight.disturbance import Disturbances
 from mjcollect.learning.config import LearnConfig
+from mjcollect.learning.ddpg import make_buffer, transitions
 from mjcollect.learning.evaluation import Evaluation, Evaluator
 from mjcollect.learning.fast_ddpg import LEARNERS
 from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.learning.random_streams import stream, torch_seed
-from mjcollect.learning.replay import make_buffer, transitions
 
 
 class Trainer:
-    """Learns one segment. Iterate over `run()`; its whole state is in `state_dict()` and `buffer`.
+    """Trains a policy: iterate over `run()`. Its state is in `state_dict()` and `buffer`.
 
     Attributes:
-        learner, buffer, env: the parts. best: best evaluation so far, or the last where the last
-            policy is flown; best_policy its weights, best_update when it was made.
+        learner, buffer, env: networks with their update, replay buffer, and environment.
+        best, best_policy, best_update: the evaluation, weights and update of the policy to fly,
+            which is the best evaluated so far, or the last one if `config.flown` says so.
         last: last evaluation of the averaged actor, or of the actor where there is no average.
-        rows: one dict per evaluation, the columns of metrics.csv. finished: nothing
-            left to do. seconds: spent training, kept by the caller.
+        rows: one dict per evaluation, the columns of metrics.csv.
+        finished: whether nothing is left to do. seconds: time spent (s), kept by the caller.
     """
 
     def __init__(
@@ -43,11 +44,11 @@ class Trainer:
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
-        """Build the networks and the random streams of `seed`.
+        """Builds the networks and the random streams of `seed`.
 
         Args:
-            simulations: `config.envs` of them, to learn in. evaluator: chooses what is kept.
-            weights: state of an actor to start from.
+            simulations: `config.envs` simulations to learn in. evaluator: flies the policies.
+            device: device of the networks. weights: state of an actor to start from, if any.
         """
         self.config, self.seed, self.device = config, seed, device
         self.evaluator = evaluator
@@ -69,7 +70,7 @@ class Trainer:
             device=device,
             weights=weights,
         )
-        self._taught = weights is not None
+        self._starts_from_policy = weights is not None
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
         self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
         scale = torch.linspace(config.noise_min, config.noise_max, config.envs)
@@ -85,23 +86,23 @@ class Trainer:
         self._returns = torch.zeros(config.envs, 1)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
         self._losses: list[torch.Tensor] = []
-        self._shielded = self._flown = 0  # slots since the last evaluation
+        self._shielded = self._flown = 0  # These count slots since the last evaluation.
         self.last: Evaluation | None = None
         self._now = self.env.reset()
 
     def move(self, simulations: Fleet) -> None:
-        """Go on learning in other simulations, at the start of their episodes."""
+        """Goes on learning in other simulations, at the start of their episodes."""
         self.env.close()
         self.env = BatchedFlightEnv(simulations, device=self.device)
         self._returns.zero_()
         self._now = self.env.reset()
 
     def run(self) -> Iterator[int]:
-        """Train to the end of the budget, yielding the number of updates after each round."""
+        """Trains to the end of the budget, yielding the number of updates after each round."""
         config = self.config
-        if not self.rows and self._taught:
-            self._evaluate()  # what it begins from: what is learned must beat it
-            self.finished = self._spent  # what begins from a policy may be good enough
+        if not self.rows and self._starts_from_policy:
+            self._evaluate()  # What is learned must beat what it begins from,
+            self.finished = self._spent  # which may already be good enough.
         while not self.finished and len(self.buffer) < max(config.demonstrations, config.batch):
             self._operate(guided=torch.full_like(self._guided, config.demonstrations > 0))
         while not self.finished:
@@ -118,13 +119,13 @@ class Trainer:
 
     @property
     def budget(self) -> int:
-        """Updates in all; fewer if nothing more is gained, more while not every start arrives."""
-        config, best, made = self.config, self.best, self.learner.updates
+        """Returns the updates in all: fewer at a standstill, more while not every start arrives."""
+        config, best, count = self.config, self.best, self.learner.updates
         if best is None or best.success_rate < 1.0:
             return config.updates + config.extra_updates
-        done = best.mean_cost <= self.evaluator.least + config.gap and made >= config.least_updates
-        idle = made - self.best_update >= config.patience
-        return made if done or idle or made >= config.updates else config.updates
+        done = best.mean_cost <= self.evaluator.least + config.gap and count >= config.least_updates
+        idle = count - self.best_update >= config.patience
+        return count if done or idle or count >= config.updates else config.updates
 
     @property
     def _spent(self) -> bool:
@@ -132,7 +133,7 @@ class Trainer:
 
     @torch.no_grad()
     def _operate(self, guided: torch.Tensor) -> None:
-        """One environment operation in every simulation, stored in the buffer."""
+        """Flies and stores one slot of every simulation, by the guidance law if `guided` (N,)."""
         if guided.any():
             law = torch.from_numpy(self.env.simulations.law()).float()
         if guided.all():
@@ -161,13 +162,13 @@ class Trainer:
 
     @property
     def policy(self) -> TrainedPolicy:
-        """The current actor, without noise."""
+        """Returns the current actor as a policy without noise."""
         return TrainedPolicy(self.learner.actor, self.config.observation)
 
     def _evaluate(self) -> None:
-        """Fly the actor and the average of past actors; keep the better if it is to be flown."""
+        """Evaluates the actor and the average of past actors; keeps the better if it is to fly."""
         actors = [self.learner.actor]
-        if self.config.average_rate > 0.0 and self.learner.updates > 0:  # the same at first
+        if self.config.average_rate > 0.0 and self.learner.updates > 0:  # At 0 they are the same.
             actors.append(self.learner.averaged)
         tried = [
             (self.evaluator(TrainedPolicy(actor, self.config.observation)), actor)
@@ -217,7 +218,7 @@ class Trainer:
         self._shielded = self._flown = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything but the buffer's content and the settings."""
+        """Returns the whole state, without the buffer's content and the settings."""
         return {
             "learner": self.learner.state_dict(),
             "env_steps": self.env_steps,
@@ -239,7 +240,7 @@ class Trainer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to a state of `state_dict`."""
+        """Goes back to a state that `state_dict` returned."""
         self.learner.load_state_dict(state["learner"])
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self.noise.set_state(state["noise"])
@@ -258,13 +259,13 @@ class Trainer:
         self.finished, self.seconds = state["finished"], state["seconds"]
 
     def close(self) -> None:
-        """Stop all simulation threads."""
+        """Stops all simulation threads."""
         self.env.close()
         self.evaluator.close()
 
 
 def _cost(result: Evaluation) -> float:
-    """Mean cost of an evaluation; NaN if not every start arrives."""
+    """Returns the mean cost of an evaluation (s), NaN if not every start arrives."""
     return result.mean_cost if result.success_rate == 1.0 else math.nan
 
 
@@ -275,10 +276,10 @@ def segment_trainer(
     device: str = "cpu",
     policy: TrainedPolicy | None = None,
 ) -> Trainer:
-    """A trainer for a course of one leg.
+    """Returns a trainer for a course of one segment.
 
     Args:
-        policy: to start from, of the observation and width of `config`.
+        policy: policy to start from, with the observation and width of `config`, if any.
     """
     return Trainer(
         make_simulations([course], config, seed),
@@ -296,7 +297,7 @@ def make_simulations(
     seed: int,
     disturbances: Disturbances | None = None,
 ) -> Simulations:
-    """What a trainer learns in: `config.envs` simulations on one course, or one course each."""
+    """Returns `config.envs` simulations for a trainer, on one course or one course each."""
     return Simulations(
         courses,
         config.envs,

@@ -1,1 +1,1 @@
-"""Pilots that plan and do not learn: model predictive control, and the reference."""
+"""Holds the pilots that plan and do not learn: model predictive control and the reference."""

@@ -1,6 +1,6 @@
-"""Cone programs put together row by row and solved by Clarabel.
+"""Builds cone programs row by row and solves them with Clarabel.
 
-Minimise z' P z / 2 + cost . z subject to A z + s = b with s in a product of cones.
+The problem is: minimise z' P z / 2 + cost . z subject to A z + s = b, s in a product of cones.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from scipy import sparse
 
 from mjcollect.geometry.compiled import Array
 
-SOLVED = ("Solved", "AlmostSolved")
-MOST_ITERATIONS = 60
+SOLVED = ("Solved", "AlmostSolved")  # Clarabel's statuses whose solution is used.
+MOST_ITERATIONS = 60  # Clarabel gives up after this many interior-point iterations.
 
 
 @dataclass
 class Rows:
-    """Rows of A z + s = b with s in a product of cones, gathered block by block."""
+    """Gathers the rows of A z + s = b, with s in a product of cones, block by block."""
 
     count: int = 0
     row: list[NDArray[np.intp]] = field(default_factory=list)
@@ -33,11 +33,13 @@ class Rows:
     def add(
         self, right: Array, *terms: tuple[NDArray[np.intp], Array | float], cone: int = 1
     ) -> None:
-        """Rows with right-hand sides `right` (R,), each in a cone of dimension `cone`.
+        """Adds R rows, of which each run of `cone` rows forms one cone.
 
         Args:
-            terms: columns and values, (R,) or (R, n): what row r holds. Column -1 is nothing.
-                In a cone of 4, row 0 of each is its height.
+            right: (R,) right-hand sides b.
+            terms: pairs of columns and values, (R,) or (R, n): the entries of A in row r. An entry
+                in column -1 is dropped.
+            cone: 1, or 4 for second-order cones, in which row 0 bounds the norm of rows 1 to 3.
         """
         for column, value in terms:
             row = (self.count + np.arange(len(right))).reshape(-1, *[1] * (column.ndim - 1))
@@ -53,7 +55,7 @@ class Rows:
 
 
 def norms(rows: Rows, limit: float, *terms: tuple[NDArray[np.intp], float]) -> None:
-    """|sum of columns (n, 3) times values| <= limit, n times."""
+    """Adds n constraints |sum of columns (n, 3) times values| <= limit."""
     count = len(terms[0][0])
     right = np.zeros((count, 4))
     right[:, 0] = limit
@@ -70,13 +72,17 @@ def within(
     radius: float = 0.0,
     at_radius: int = -1,
 ) -> None:
-    """|point - centre| <= radius, which is a number or a variable; columns (3,), centre (3,)."""
+    """Adds the constraint |point - centre| <= radius + the variable in column `at_radius`.
+
+    Args:
+        at_point: (3,) columns of the point. centre: (3,) m. radius: m. at_radius: -1 for none.
+    """
     right = np.concatenate([[radius], -centre])
     rows.add(right, (np.concatenate([[at_radius], at_point]), -1.0), cone=4)
 
 
 def settings() -> clarabel.DefaultSettings:
-    """Quiet, on one thread."""
+    """Returns new Clarabel settings: no output, one thread, at most MOST_ITERATIONS."""
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False
     chosen.max_threads = 1
@@ -93,10 +99,12 @@ def minimise(
     chosen: clarabel.DefaultSettings,
     statuses: Counter[str],
 ) -> Array | None:
-    """The best z (n,), None without a solution; counts the solver's status.
+    """Returns the best z (n,), or None if the solver finds no solution.
 
     Args:
         quadratic: upper triangle of P (n, n). cost: (n,). matrix: A (m, n). right: b (m,).
+        cones: Clarabel's cones, in the order of the rows. chosen: Clarabel's settings.
+        statuses: counts the solver's statuses; one is added.
     """
     solver = clarabel.DefaultSolver(quadratic, cost, matrix, right, cones, chosen)
     result = solver.solve()

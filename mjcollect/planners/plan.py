@@ -1,4 +1,4 @@
-"""A plan: commands for the slots to come, and whether the rules of flight let it be flown."""
+"""Defines a plan for the next slots, and checks that the rules of flight let it be flown."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from mjcollect.geometry.compiled import Array
 
 @dataclass(frozen=True)
 class Plan:
-    """States at slot starts, ending at rest.
+    """Holds the states at the starts of M slots, from the present state to rest.
 
     Attributes:
-        q, v: (M + 1, 3) m and m/s, the present state first; v ends with zeros.
-        slot: seconds. arrives: it ends in the target's ball.
+        q, v: (M + 1, 3) positions in m and velocities in m/s; the last velocity is zero.
+        slot: duration of a slot (s). arrives: whether the plan ends in the target's ball.
     """
 
     q: Array
@@ -28,18 +28,18 @@ class Plan:
 
     @property
     def slots(self) -> int:
-        """Slots to fly, M."""
+        """Returns the number of slots M."""
         return len(self.q) - 1
 
     @property
     def a(self) -> Array:
-        """Accelerations (M, 3) in m/s^2, each held for a slot."""
+        """Returns the accelerations (M, 3) in m/s^2, each held for one slot."""
         return np.asarray(np.diff(self.v, axis=0) / self.slot)
 
     def later(self, q: Array, v: Array) -> Plan:
-        """What is left after its first slot, from the state (3,), (3,) it led to.
+        """Returns the plan without its first slot, which led to the state q, v (3,).
 
-        A plan that does not arrive stays where it ends for a slot more, so that it never runs out.
+        A plan that does not arrive gets one more slot at rest at its end, so it never runs out.
         """
         held = [] if self.arrives else [-1]
         index = [*range(2, self.slots + 1), *held]
@@ -52,10 +52,10 @@ class Plan:
 
 
 def is_flyable(world: World, plan: Plan) -> bool:
-    """Whether the plan keeps all limits and its path neither touches a box nor leaves the bounds.
+    """Returns whether a plan keeps both limits, touches no box and stays in the bounds.
 
     Args:
-        world: of the one scene.
+        world: world of one scene. plan: the plan to check.
     """
     a = plan.a
     path, speeds = roll_out(world, plan.q[0], plan.v[0], a)

@@ -1,4 +1,4 @@
-"""Planes that keep the pieces of a planned path on the free side of the boxes beside them."""
+"""Finds planes that keep each piece of a planned path on the free side of the boxes near it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array
 
-SIGHT = 40.0  # metres from a piece within which boxes get a plane
-_HALVINGS = 20  # of a piece, when its point nearest to a box is looked for
+SIGHT = 40.0  # Boxes within this many metres of a piece get a plane.
+_HALVINGS = 20  # The search for a piece's point nearest to a box halves the piece this often.
 
 
 @dataclass(frozen=True)
 class Planes:
-    """Half-spaces normal . x >= offset, each free of one box, for one piece of a path each.
+    """Holds P half-spaces normal . x >= offset, each free of one box, for one piece of a path.
 
     Attributes:
-        piece, box: (P,) indices of what it separates.
-        normal: (P, 3) unit vectors away from the box.
-        offset: (P,) m, where the box ends along the normal.
-        clearance: (P,) m between box and piece along the normal, negative where they overlap.
+        piece, box: (P,) indices of the piece and the box that the plane separates.
+        normal: (P, 3) unit vectors pointing away from the box.
+        offset: (P,) coordinate along the normal at which the box ends (m).
+        clearance: (P,) distance from box to piece along the normal (m), negative on overlap.
     """
 
     piece: NDArray[np.intp]
@@ -32,10 +32,10 @@ class Planes:
 
 
 def separate(path: Array, boxes: Array) -> Planes:
-    """Planes between the straight pieces of `path` (M + 1, 3) and near `boxes` (B, 2, 3).
+    """Returns planes between the straight pieces of `path` (M + 1, 3) and near `boxes` (B, 2, 3).
 
-    The normal joins the nearest points of piece and box, so no other plane leaves both more room.
-    Where they meet it is that of the face with the shortest way out.
+    The normal joins the nearest points of piece and box, which gives the largest clearance that
+    any plane can. Where they overlap it is the normal of the face with the shortest way out.
     """
     start, end = path[:-1, None], path[1:, None]
     low, high = boxes[:, 0], boxes[:, 1]
@@ -58,7 +58,10 @@ def separate(path: Array, boxes: Array) -> Planes:
 
 
 def _nearest_point(start: Array, end: Array, low: Array, high: Array) -> Array:
-    """Point (P, 3) of each segment nearest to its box: its distance is convex along the segment."""
+    """Returns the point (P, 3) of each piece nearest to its box.
+
+    Bisection finds it, because the distance to a box is convex along a line.
+    """
     step = end - start
     left, right = np.zeros((len(start), 1)), np.ones((len(start), 1))
     for _ in range(_HALVINGS):

@@ -1,8 +1,9 @@
-"""The cone program of one plan: the slot dynamics, norm limits, half-spaces; solved by Clarabel.
+"""Finds one plan by a cone program: slot dynamics, norm limits and half-spaces.
 
 A second-order cone program keeps both norm limits exact. Clarabel was the fastest of the solvers
 measured on programs of flown missions: OSQP needs the cones cut into facets and is 50 times
-slower, SCS twice, ECOS about as fast but under the GPL and without a quadratic cost.
+slower, SCS is twice as slow, and ECOS is about as fast but under the GPL and without a quadratic
+cost.
 """
 
 from __future__ import annotations
@@ -20,21 +21,23 @@ from mjcollect.planners.cone_solver import Rows, minimise, norms, settings, with
 from mjcollect.planners.separating_planes import SIGHT, separate
 from mjcollect.scene.scene import Scene
 
-COMFORT = 0.5  # metres beyond the least clearance within which boxes cost
-PROXIMITY_COST = 1e-3  # metres of distance that a metre of comfort is worth, per slot
-ELASTIC_COST = 30.0  # the same where boxes may be overlapped for the time being
-EFFORT_COST = 1e-6  # metres of distance per (m/s^2)^2 and slot
-SHORT = 1e-5  # share of the limits kept in reserve: more than what the solver's tolerance takes
-HAIR = 1e-3  # metres kept from boxes beyond what is proven, for the same reason
+# A box costs as soon as the clearance is less than this above the least allowed one (m).
+COMFORT = 0.5
+# The cost of one metre of missing comfort in one slot, in metres of distance to the pulling point.
+PROXIMITY_COST = 1e-3
+ELASTIC_COST = 30.0  # This replaces PROXIMITY_COST while boxes may be overlapped.
+EFFORT_COST = 1e-6  # The cost of an acceleration: metres of distance per (m/s^2)^2 and slot.
+SHORT = 1e-5  # This share of each limit stays unused: more than the solver's tolerance takes.
+SOLVER_MARGIN_M = 1e-3  # This margin to boxes (m) is added to the proven one, for the same reason.
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Optimal motion.
+    """Holds an optimal motion of M slots.
 
     Attributes:
-        q, v: (M + 1, 3) at slot starts, the given state first; v ends with zeros.
-        slack: metres by which it comes nearer to boxes than is comfortable, at most.
+        q, v: (M + 1, 3) m and m/s at slot starts, the given state first; v ends with zeros.
+        slack: the most by which a slot's clearance falls short of the comfortable one (m).
     """
 
     q: Array
@@ -43,20 +46,19 @@ class Solution:
 
 
 class Program:
-    """Best motion of M slots that ends at rest, near a path that is given.
+    """Finds the best motion of M slots that ends at rest, near a given path.
 
     Variables: v_k, q_k at slot starts k = 0..M (q relative to q_0; v_0, q_0, v_M are fixed), one
-    slack for each slot, and the distance t of q_M from the point that pulls. A program's shape
-    changes with every plan, so nothing is kept between solves but the path: an interior point
-    method has no use for an old solution.
+    slack variable (m) for each slot, and the distance t of q_M from the pulling point. A program's
+    shape changes with every plan, and an interior-point method has no use for an old solution, so
+    nothing is kept between solves.
 
     Attributes:
-        scene: whose limits and boxes hold.
-        statuses: how often Clarabel ended in which status.
+        scene: scene whose limits and boxes hold. statuses: counts of Clarabel's final statuses.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Programs for flights in `scene`."""
+        """Prepares programs for flights in `scene`."""
         self.scene = scene
         self._settings = settings()
         self.statuses: Counter[str] = Counter()
@@ -69,13 +71,14 @@ class Program:
         ball: tuple[Array, float] | None = None,
         elastic: bool = False,
     ) -> Solution | None:
-        """Least distance of the last position from `pull` (3,); None without a solution.
+        """Returns the motion that ends nearest to a pulling point, or None without a solution.
 
         Args:
-            v: (3,) present velocity. path: (M + 1, 3) positions at slot starts from the present
-                one on, M >= 2; every slot stays on its side of the boxes.
-            ball: centre (3,) and radius in metres within which the motion must end.
-            elastic: boxes may be overlapped, at a price: for a path that is only a first guess.
+            v: (3,) present velocity (m/s). path: (M + 1, 3) positions (m) at slot starts from the
+                present one on, M >= 2; every slot stays on the same side of the boxes as here.
+            pull: (3,) the pulling point (m).
+            ball: centre (3,) and radius (m) of the ball in which the motion must end, if any.
+            elastic: whether boxes may be overlapped at a cost, for a path that is a first guess.
         """
         count, start = len(path) - 1, path[0]
         # Columns of v_k and q_k (M + 1, 3), slack_k (M,) and t.
@@ -105,7 +108,10 @@ class Program:
         return Solution(np.concatenate([start[None], start + z[at_q[1:]]]), z[at_v], slack)
 
     def _dynamics(self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
-        """q_{k+1} = q_k + slot v_k + a_k slot^2 (n + 1) / (2 n), a_k = (v_{k+1} - v_k) / slot."""
+        """Adds the dynamics of a slot of n physics steps with a_k = (v_{k+1} - v_k) / slot.
+
+        They are q_{k+1} = q_k + slot v_k + a_k slot^2 (n + 1) / (2 n).
+        """
         scene = self.scene
         share = (scene.substeps + 1) / (2 * scene.substeps)
         rows.add(
@@ -124,19 +130,23 @@ class Program:
         path: Array,
         elastic: bool,
     ) -> None:
-        """Both ends of every slot's piece on the free side of its planes.
+        """Keeps both ends of every slot's piece on the free side of its planes.
 
-        Within a slot the motion is a parabola, which strays from the straight piece between its
+        Within a slot the motion is a parabola, which deviates from the straight piece between its
         ends by up to a_max slot^2 / 8.
         """
         scene = self.scene
         planes = separate(path, scene.obstacles)
         piece, normal = planes.piece, planes.normal
-        least = np.full(len(piece), scene.uav_radius + scene.a_max * scene.slot**2 / 8 + HAIR)
-        # The present position cannot be moved: the first slot keeps what clearance there is.
+        least = np.full(
+            len(piece), scene.uav_radius + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
+        )
+        # The present position cannot be moved, so the first slot keeps the clearance that it has.
         here = normal @ path[0] - planes.offset
         first = piece == 0
-        least[first] = np.minimum(least, np.maximum(here - HAIR, scene.uav_radius))[first]
+        least[first] = np.minimum(least, np.maximum(here - SOLVER_MARGIN_M, scene.uav_radius))[
+            first
+        ]
         right = normal @ path[0] - planes.offset - least - COMFORT
         later = ~first
         rows.add(right, (at_q[piece + 1], -normal), (at_slack[piece], -1.0))
@@ -152,32 +162,37 @@ class Program:
         at_v: NDArray[np.intp],
         path: Array,
     ) -> None:
-        """Inside the bounds at every instant, near walls only.
+        """Keeps the motion inside the bounds at every instant; only near walls get rows.
 
-        A slot's parabola lies in the triangle of its ends and the point where its tangents meet:
-        q_k + slot / 2 (v_k + a_k step / 2), step / 2 for the semi-implicit shift.
+        A slot's parabola lies in the triangle of its ends and the point where its tangents meet,
+        q_k + slot / 2 (v_k + a_k step / 2); step / 2 comes from the semi-implicit physics step.
         """
         scene = self.scene
         lag = scene.physics_step / 4
         for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
             piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT)
-            room = side * (wall - path[0])[axis]
-            rows.add(room - 1e-7, (at_q[piece + 1, axis], side))
+            clearance = side * (wall - path[0])[axis]
+            rows.add(clearance - 1e-7, (at_q[piece + 1, axis], side))
             rows.add(
-                room,
+                clearance,
                 (at_q[piece, axis], side),
                 (at_v[piece, axis], side * (scene.slot / 2 - lag)),
                 (at_v[piece + 1, axis], side * lag),
             )
 
     def _limits(self, rows: Rows, at_v: NDArray[np.intp]) -> None:
-        """|v_{k+1} - v_k| <= a_max slot in every slot, |v_k| <= v_max at inner slot starts."""
+        """Adds |v_{k+1} - v_k| <= a_max slot for each slot, |v_k| <= v_max at inner slot starts."""
         scene = self.scene
         norms(rows, scene.a_max * scene.slot * (1 - SHORT), (at_v[1:], 1.0), (at_v[:-1], -1.0))
         norms(rows, scene.v_max * (1 - SHORT), (at_v[1:-1], 1.0))
 
     def _solve(self, rows: Rows, cost: Array, fixed: Array, at_v: NDArray[np.intp]) -> Array | None:
-        """All variables, where `fixed` is not NaN as given there; None without a solution."""
+        """Returns all variables, or None without a solution.
+
+        Args:
+            rows: all constraints. cost: (n,) linear cost. fixed: (n,) given values, NaN elsewhere.
+            at_v: (M + 1, 3) columns of the velocities.
+        """
         given = ~np.isnan(fixed)
         free = np.flatnonzero(~given)
         place = np.full(len(fixed), -1)
@@ -190,7 +205,7 @@ class Program:
         )
         row, column, value = row[~known], place[column[~known]], value[~known]
         matrix = sparse.csc_matrix((value, (row, column)), shape=(len(right), len(free)))
-        # Effort: sum of |v_{k+1} - v_k|^2 / slot^2; of the fixed ends only v_0 is not zero.
+        # The effort is the sum of |v_{k+1} - v_k|^2 / slot^2; v_M, a fixed end, is zero.
         weight = 2 * EFFORT_COST / self.scene.slot**2
         inner = place[at_v[1:-1]]
         cost = cost[free]

@@ -275,7 +275,7 @@ def _box_heights(axes: Any, scene: Scene, trajectory: Trajectory, low: Array, hi
 
 
 def _arrows(axes: Any, trajectory: Trajectory, done: Progress) -> None:
-    """An arrow head at the middle of each leg."""
+    """An arrow head at the middle of each segment."""
     rows = [0, *done.rows]
     if len(done.rows) < len(done.targets):
         rows.append(len(trajectory) - 1)

@@ -1,4 +1,4 @@
-"""`python -m mjcollect.scene FILE` validates a scene and says what its segments are like."""
+"""Validates a scene and prints its order and segments: `python -m mjcollect.scene FILE`."""
 
 from __future__ import annotations
 
@@ -14,18 +14,17 @@ from mjcollect.scene.scene import Scene
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Command line; returns the exit code."""
+    """Runs the command line and returns the exit code: 2 if the scene or the order is refused."""
     parser = argparse.ArgumentParser(
         prog="python -m mjcollect.scene",
         description="Validate a scene file; print the order and its segments.",
-        usage=argparse.SUPPRESS,  # errors in one line
+        usage=argparse.SUPPRESS,  # so that an error is one line
     )
-    parser.add_argument("file", help="scene file, or the name of a bundled scene")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    parser.add_argument(
-        "--order", default="lkh", help="lkh (default), exact, random, given, or e.g. 2,0,1"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the random order (0)")
+    parser.add_argument("file", help="The scene file, or the name of a bundled scene.")
+    parser.add_argument("--json", action="store_true", help="Print JSON instead of a table.")
+    order_help = "The visiting order: lkh (default), exact, random, given, or indices as in 2,0,1."
+    parser.add_argument("--order", default="lkh", help=order_help)
+    parser.add_argument("--seed", type=int, default=0, help="The seed of a random order (0).")
     args = parser.parse_args(argv)
     try:
         scene = Scene.find(args.file)
@@ -57,9 +56,9 @@ def _report(scene: Scene, order: Sequence[int], method: str) -> str:
         f"{'segment':>7}  {'from':>5}  {'to':>5}  {'distance':>10}  straight line",
     ]
     for row in segments_table(scene, order):
-        frm, to = (str(node) if node >= 0 else "depot" for node in (row["from"], row["to"]))
+        start, end = (str(node) if node >= 0 else "depot" for node in (row["from"], row["to"]))
         state = "blocked" if row["blocked"] else "free"
-        lines.append(f"{row['index']:>7}  {frm:>5}  {to:>5}  {row['distance']:>8.1f} m  {state}")
+        lines.append(f"{row['index']:>7}  {start:>5}  {end:>5}  {row['distance']:>8.1f} m  {state}")
     return "\n".join(lines)
 
 

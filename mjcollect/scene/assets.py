@@ -1,4 +1,4 @@
-"""Where bundled files lie: scenes, the quadrotor, the shipped policy."""
+"""Finds bundled files: scenes, the quadrotor, the shipped policy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def asset_path(*parts: str) -> Path:
-    """Path of a bundled asset, in a checkout (`assets/`) or in an installed wheel."""
+    """Returns the path of a bundled asset, in a checkout (`assets/`) or in an installed wheel."""
     package = Path(__file__).resolve().parents[1]
     installed = package / "assets"
     root = installed if installed.is_dir() else package.parent / "assets"

@@ -1,8 +1,8 @@
-"""Provable lower bounds on the time of a segment and of a mission.
+"""Computes provable lower bounds on the time of a segment and of a mission.
 
-Rest to rest over a distance d takes at least d/v + v/a, or 2 sqrt(d/a) when the speed limit is
-never reached. A stop may lie anywhere in a ball, which shortens a leg by that ball's radius; boxes
-can only lengthen it.
+From rest to rest, a distance d takes at least d/v + v/a seconds, or 2 sqrt(d/a) where the speed
+limit is never reached. A stop may lie anywhere in a ball, which shortens a segment by that ball's
+radius; boxes can only lengthen it.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from mjcollect.scene.order import DEPOT, MAX_EXACT, distances, held_karp
 from mjcollect.scene.scene import Scene
 
 EXACT, RELAXED = "held-karp-exact", "one-tree-subgradient"
-_ROUNDS = 400  # of the subgradient method
-_PATIENCE = 12  # rounds without a better bound before its step is halved
-_HAIR = 1e-9  # relative; more than the sums above it can lose to rounding
+_ROUNDS = 400  # The subgradient method takes at most so many rounds.
+_PATIENCE = 12  # The method's step is halved after so many rounds without a better bound.
+_MARGIN = 1e-9  # Bounds are lowered by this share, more than the sums can lose to rounding.
 
 
 def leg_time(distance: ArrayLike, v_max: float, a_max: float) -> Array:
-    """Least time in s from rest to rest over straight `distance` (...) in metres. Shape (...)."""
+    """Returns the least time (...) in s from rest to rest over straight `distance` (...) in m."""
     d = np.asarray(distance, dtype=np.float64)
     return np.where(d >= v_max**2 / a_max, d / v_max + v_max / a_max, 2 * np.sqrt(d / a_max))
 
 
-def segment_bound(scene: Scene, frm: int, to: int) -> float:
-    """Lower bound in s on the segment between nodes `frm` and `to` (depot -1)."""
-    length = float(np.linalg.norm(scene.point(to) - scene.point(frm)))
-    return detour_bound(scene, frm, to, length)
+def segment_bound(scene: Scene, start_node: int, end_node: int) -> float:
+    """Returns a lower bound in s on the segment between two nodes (the depot is -1)."""
+    length = float(np.linalg.norm(scene.point(end_node) - scene.point(start_node)))
+    return detour_bound(scene, start_node, end_node, length)
 
 
-def detour_bound(scene: Scene, frm: int, to: int, length: float) -> float:
-    """`segment_bound` with a path's `length` in metres in place of the straight distance.
+def detour_bound(scene: Scene, start_node: int, end_node: int, length: float) -> float:
+    """Returns `segment_bound` with a path's `length` in m in place of the straight distance.
 
-    Of a shortest path among the boxes it is a bound no more, but a good estimate.
+    For the shortest path found among the boxes this is no longer a bound, but a good estimate.
     """
-    slack = (0.0 if frm == DEPOT else scene.epsilon) + scene.tolerance(to)
-    return float(leg_time(max(0.0, length - slack), scene.v_max, scene.a_max))
+    margin = (0.0 if start_node == DEPOT else scene.epsilon) + scene.tolerance(end_node)
+    return float(leg_time(max(0.0, length - margin), scene.v_max, scene.a_max))
 
 
 def mission_bound(scene: Scene) -> tuple[float, str]:
-    """Lower bound in s on the whole mission, whatever the order flown, and the method's name.
+    """Returns a lower bound in s on the mission, whatever its order, and the method's name.
 
-    Up to 12 items the least sum of segment bounds over all orders, exactly; above, a relaxation
-    that never exceeds it (Held and Karp 1970, on the items, with the two depot legs apart because
-    only the return is shortened by `return_tolerance`).
+    Up to 12 items it is the least sum of segment bounds over all orders, exactly. Above, it is a
+    relaxation that never exceeds that sum (Held and Karp 1970, on the items; the two depot segments
+    stand apart, because `return_tolerance` shortens only the return).
     """
     cost = _leg_bounds(scene)
     if len(scene.items) <= MAX_EXACT:
@@ -55,19 +55,20 @@ def mission_bound(scene: Scene) -> tuple[float, str]:
 
 
 def _leg_bounds(scene: Scene) -> Array:
-    """(K+1, K+1) segment bounds in s, from row to column, depot first."""
-    slack = np.full((len(scene.items) + 1,) * 2, 2 * scene.epsilon)
-    slack[0, :] = scene.epsilon
-    slack[:, 0] = scene.epsilon + scene.return_tolerance
-    return leg_time(np.maximum(0.0, distances(scene) - slack), scene.v_max, scene.a_max)
+    """Returns the segment bounds (K+1, K+1) in s, from row to column, the depot first."""
+    margin = np.full((len(scene.items) + 1,) * 2, 2 * scene.epsilon)
+    margin[0, :] = scene.epsilon
+    margin[:, 0] = scene.epsilon + scene.return_tolerance
+    return leg_time(np.maximum(0.0, distances(scene) - margin), scene.v_max, scene.a_max)
 
 
 def _one_tree(cost: Array) -> float:
-    """Greatest found lower bound on the cheapest tour; see `mission_bound`.
+    """Returns the greatest lower bound found on the cheapest tour, see `mission_bound`.
 
-    A tour is a spanning path of the items plus a leg out and a leg home, with two legs at every
-    item. The least spanning tree plus the cheapest two depot legs at different items costs no
-    more, and a price on every leg's end at an item, refunded twice, changes no tour's cost.
+    A tour is a spanning path of the items plus a segment out and one home: two segments end at
+    every item. The least spanning tree plus the cheapest two depot segments at different items
+    costs no more. A price on every segment's end at an item, refunded twice, changes no tour's
+    cost; prices are raised where the relaxation has more than two ends, and lowered where fewer.
     """
     out, home, between = cost[0, 1:], cost[1:, 0], cost[1:, 1:]
     count = len(between)
@@ -88,14 +89,14 @@ def _one_tree(cost: Array) -> float:
         if stale == _PATIENCE:
             step, stale = step / 2, 0
         excess = degree - 2
-        if not np.any(excess):  # the relaxed solution is a tour: nothing left to gain
+        if not np.any(excess):  # the relaxed solution is a tour: no bound is greater
             break
         price = price + step * max(target - bound, 0.0) / np.sum(excess**2) * excess
-    return max(0.0, best * (1 - _HAIR) - _HAIR)
+    return max(0.0, best * (1 - _MARGIN) - _MARGIN)
 
 
 def _spanning_tree(weight: Array) -> tuple[float, Array]:
-    """Least spanning tree (Prim): its weight and the degree (K,) of every node."""
+    """Returns the weight of the least spanning tree (Prim) and the degree (K,) of every node."""
     count = len(weight)
     degree = np.zeros(count)
     nearest, link = weight[0].copy(), np.zeros(count, dtype=np.int64)
@@ -117,7 +118,7 @@ def _spanning_tree(weight: Array) -> tuple[float, Array]:
 
 
 def _nearest_neighbour_tour(cost: Array) -> float:
-    """Cost of a tour that always goes to the nearest node left: only scales the steps."""
+    """Returns the cost of a tour to the nearest node left each time; it only scales the steps."""
     node, total, left = 0, 0.0, np.ones(len(cost), dtype=bool)
     left[0] = False
     while np.any(left):

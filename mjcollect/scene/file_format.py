@@ -1,4 +1,4 @@
-"""A scene file's text: reading it, and its keys and types. The rules are in `mjcollect.scene`."""
+"""Reads a scene file's text and checks its keys and types; all other rules are in `scene.scene`."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-_MAX_DIGITS = 300
+_MAX_DIGITS = 300  # Longer integers are read as floats, see `_integer`.
 Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class SceneError(ValueError):
-    """A scene was refused. The message names the field, the value and the fix."""
+    """Says that a scene was refused; the message names the field, the value and the fix."""
 
     def __init__(self, field: str, value: object, fix: str) -> None:
-        """Keep the three parts as attributes and join them into one message."""
+        """Keeps the three parts as attributes and joins them into one message."""
         self.field, self.value, self.fix = field, value, fix
         super().__init__(printable(f"{field}: {_short(value)}: {fix}"))
 
@@ -29,7 +29,7 @@ class _Box(BaseModel):
 
 
 class _SceneFile(BaseModel):
-    """The JSON document, key for key; every further rule is in `Scene._check`."""
+    """Lists the JSON document key for key; every further rule is in `Scene._check`."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
     name: Annotated[str, Field(min_length=1, max_length=100)]
@@ -48,10 +48,10 @@ class _SceneFile(BaseModel):
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Text of a scene file.
+    """Returns the text of a scene file.
 
     Raises:
-        SceneError: there is no such file, or it cannot be read.
+        SceneError: the file does not exist or cannot be read.
     """
     path = Path(path)
     try:
@@ -72,10 +72,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def parse(text: str) -> dict[str, Any]:
-    """Fields of a scene from JSON text, types checked; boxes as [min, max].
+    """Returns the fields of a scene from JSON text, types checked and boxes as [min, max].
 
     Raises:
-        SceneError: it is not JSON, or a key is missing, unknown, repeated or of a wrong type.
+        SceneError: the text is not JSON, or a key is missing, unknown, repeated or of a wrong type.
     """
     try:
         document = json.loads(text, object_pairs_hook=_no_twice, parse_int=_integer)
@@ -103,7 +103,7 @@ def parse(text: str) -> dict[str, Any]:
 
 
 def printable(text: str) -> str:
-    """Text from a file, fit for a terminal: control characters are written as escapes."""
+    """Returns text of a file fit for a terminal: control characters become escapes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -123,7 +123,7 @@ def _no_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _integer(text: str) -> int | float:
-    """Python refuses to read thousands of digits; as infinity they are refused with their field."""
+    """Reads an integer, a long one as a float: Python's own refusal would not name the field."""
     return int(text) if len(text) <= _MAX_DIGITS else float(text)
 
 
@@ -136,11 +136,11 @@ _FIXES = {
 
 
 def _from_pydantic(error: ValidationError) -> SceneError:
-    """The first problem as field, value and fix."""
+    """Returns the first problem as field, value and fix."""
     problem = error.errors(include_url=False)[0]
     place, kind = list(problem["loc"]), problem["type"]
     if kind == "missing" and isinstance(problem["input"], list):
-        place.pop()  # the point, not the coordinate that it lacks
+        place.pop()  # names the point, not the coordinate that it lacks
     field = ""
     for part in place:
         field += f"[{part}]" if isinstance(part, int) else f"{'.' if field else ''}{part}"

@@ -1,8 +1,8 @@
-"""Scene + assets/quadrotor.xml -> MJCF, through dm_control.mjcf.
+"""Builds the MJCF model of a scene and assets/quadrotor.xml, through dm_control.mjcf.
 
-The quadrotor hangs on three slide joints whose positions are world coordinates, driven by three
-actuators whose controls are accelerations in m/s^2. Only its collision sphere and the obstacle
-boxes collide; ground, items, depot and every other geom are there to be looked at.
+The quadrotor hangs on three slide joints, whose positions are world coordinates. Three actuators
+drive it; their controls are accelerations in m/s^2. Only its collision sphere and the obstacle
+boxes collide: ground, items, depot and every other geom are only there to be looked at.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.scene import Scene
 
-# Names in the compiled model.
+# These are names in the compiled model.
 UAV_BODY, UAV_GEOM, HIT_SENSOR = "quadrotor/uav", "quadrotor/body", "quadrotor/hit"
 JOINTS = ("quadrotor/x", "quadrotor/y", "quadrotor/z")
 ACTUATORS = ("quadrotor/ax", "quadrotor/ay", "quadrotor/az")
-NEVER = 1e6  # metres; deeper than any scene is wide
+NEVER = 1e6  # metres; no contact is so deep, since no scene is so wide
 OBSTACLE_RGBA = np.array(
     [[0.62, 0.70, 0.80, 1.0], [0.78, 0.74, 0.66, 1.0], [0.54, 0.65, 0.70, 1.0]]
 )
-# Bright on the grey-blue world and apart for the colour-blind (Okabe and Ito).
+# These are bright on the grey-blue world, and the colour-blind can tell them apart (Okabe and Ito).
 ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
 DEPOT_RGBA = (0.10, 0.45, 0.85, 1.0)
 
 
 def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjcf.RootElement:
-    """MJCF of a scene with one quadrotor at the depot.
+    """Returns the MJCF of a scene with one quadrotor at the depot.
 
     Args:
         scene: what to build.
-        solid: False leaves contacts sensed but not resolved: motion goes on by eq. (2)-(3), as
-            the `paper` reward preset needs.
-        visual_scale: grows the quadrotor's visual geoms, for pictures of a 1 km scene; the
-            collision sphere keeps its true size. 1 for simulation.
+        solid: whether contacts stop the body. If not, they are sensed but motion goes on by
+            eq. (2)-(3), as the `paper` reward preset needs.
+        visual_scale: factor on the quadrotor's visual geoms, for pictures of a 1 km scene; the
+            collision sphere keeps its true size. It is 1 for simulation.
     """
     root = mjcf.RootElement(model="mjcollect")
     root.option.timestep = scene.physics_step
     root.option.integrator = "Euler"
     root.option.gravity = (0.0, 0.0, 0.0)
-    # Without warm start a step depends on the state alone: batched and single stepping agree
-    # bit for bit through a contact.
+    # Without warm start a step depends on the state alone, so that batched and single stepping
+    # agree bit for bit through a contact.
     root.option.flag.warmstart = "disable"
-    _look(root, scene)
+    _add_surroundings(root, scene)
     for index, box in enumerate(scene.obstacles):
         root.worldbody.add(
             "geom",
@@ -78,15 +78,15 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
     )
     _add_quadrotor(root, scene, visual_scale)
     if not solid:
-        # MuJoCo senses below margin + gap = 0 and resolves below margin, which is never. With
-        # constraints disabled it would not look for contacts at all.
+        # MuJoCo senses contacts nearer than margin + gap = 0 and resolves those nearer than margin,
+        # which is none. With constraints disabled it would not look for contacts at all.
         body = root.find("geom", UAV_GEOM)
         body.margin, body.gap = -NEVER, NEVER
     return root
 
 
 def compile_model(scene: Scene, *, solid: bool = True) -> mujoco.MjModel:
-    """The scene as a plain MuJoCo model; see `build`."""
+    """Returns the scene as a plain MuJoCo model, `solid` as in `build`."""
     root = build(scene, solid=solid)
     return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
@@ -126,8 +126,8 @@ def _scale(geom: mjcf.Element, factor: float) -> None:
             setattr(geom, attribute, np.asarray(value) * factor)
 
 
-def _look(root: mjcf.RootElement, scene: Scene) -> None:
-    """Sky, ground, lights and cameras, sized to the scene."""
+def _add_surroundings(root: mjcf.RootElement, scene: Scene) -> None:
+    """Adds sky, ground, lights and cameras, sized to the scene."""
     low, high = scene.bounds
     extent = float(np.max(high - low))
     centre = (low + high) / 2
@@ -181,7 +181,7 @@ def _look(root: mjcf.RootElement, scene: Scene) -> None:
 
 
 def _add_overview(root: mjcf.RootElement, centre: Array, extent: float) -> None:
-    """A camera that looks at the centre from above one corner."""
+    """Adds a camera that looks at the centre from above one corner."""
     position = centre + extent * np.array([-1.1, -1.1, 0.8])
     root.worldbody.add(
         "camera", name="overview", pos=position, xyaxes=_look_at(position, centre), fovy=43
@@ -189,7 +189,7 @@ def _add_overview(root: mjcf.RootElement, centre: Array, extent: float) -> None:
 
 
 def _look_at(position: Array, target: Array) -> Array:
-    """`xyaxes` (6,) of a camera at `position` that looks at `target` with the horizon level."""
+    """Returns `xyaxes` (6,) of a camera at `position` that sees `target` and a level horizon."""
     forward = target - position
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right = right / np.linalg.norm(right)

@@ -1,7 +1,7 @@
-"""The order in which the items are visited: LKH as in the paper (section IV), and yardsticks.
+"""Orders the items to visit: by LKH as in the paper (section IV), or as other methods do.
 
-A node is an item index, or -1 for the depot. Segment k of an order of K items runs from one stop
-to the next: segment 0 leaves the depot, segment K returns to it.
+A node is an item index, or -1 for the depot. An order of K items has K + 1 segments, each from one
+stop to the next: segment 0 leaves the depot, segment K returns to it.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
 ORDER_METHODS = ("lkh", "exact", "random", "given")
-DEPOT = -1
-MAX_EXACT = 12  # items; the dynamic programme has 2^K K entries
-# LKH counts in 32-bit integers times 100: longer weights overflow. In a 1 km cube the unit comes
-# out just below a millimetre.
+DEPOT = -1  # The depot is the node before the items 0, 1, ...
+MAX_EXACT = 12  # The dynamic programme takes at most so many items K: it has 2^K K entries.
+# LKH computes with 100 times the weights in 32-bit integers, so greater weights overflow. In a 1 km
+# cube the unit of weights is then just below a millimetre.
 _LONGEST_WEIGHT = 2_000_000
 _LKH_RUNS = 10
 
 
 class TourError(ValueError):
-    """No order can be made as asked. The message names the method or the order, and the fix."""
+    """Says that no order can be made as asked; the message names method or order, and the fix."""
 
 
 def plan_order(
     scene: Scene, method: str, *, seed: int = 0, cost: Array | None = None
 ) -> tuple[int, ...]:
-    """Visiting order of the items.
+    """Returns the visiting order of the items.
 
-    Of a tour's two directions `lkh`, `exact` and `random` give the one whose first item has the
+    Of a tour's two directions, `lkh`, `exact` and `random` return the one whose first item has the
     smaller index.
 
     Args:
         scene: K items.
         method: `lkh`; `exact` (dynamic programme, K <= 12, needs no elkai); `random`; `given`
             (file order); or the order itself as in '2,0,1'.
-        seed: of the random order.
+        seed: the seed of the random order.
         cost: (K+1, K+1) symmetric cost between nodes, depot first, for `lkh` and `exact`;
             straight distances in metres if None.
 
@@ -48,8 +48,8 @@ def plan_order(
         The K item indices in order of visit.
 
     Raises:
-        TourError: unknown method, not a permutation, too many items, elkai is not installed, or
-            `cost` does not fit.
+        TourError: the method is unknown, the order is no permutation, there are too many items,
+            elkai is not installed, or `cost` does not fit.
     """
     count = len(scene.items)
     if method not in ORDER_METHODS:
@@ -65,29 +65,29 @@ def plan_order(
 
 
 def order_label(method: str) -> str:
-    """The name under which results report a method: itself, or 'explicit' for a listed order."""
+    """Returns how results call a method: by its name, or 'explicit' for a listed order."""
     return method if method in ORDER_METHODS else "explicit"
 
 
-def legs(order: Sequence[int]) -> list[tuple[int, int]]:
-    """The K+1 segments (from, to) of an order; the depot is -1."""
+def tour_segments(order: Sequence[int]) -> list[tuple[int, int]]:
+    """Returns the K+1 segments (from, to) of an order; the depot is -1."""
     return list(zip([DEPOT, *order], [*order, DEPOT], strict=True))
 
 
 def tour_length(scene: Scene, order: Sequence[int]) -> float:
-    """Length in metres of the closed straight-line tour from the depot through the items."""
+    """Returns the length in m of the closed straight-line tour from the depot through the items."""
     stops = np.concatenate([[scene.depot], scene.items[list(order)], [scene.depot]])
     return float(np.sum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
 
 
 def distances(scene: Scene) -> Array:
-    """(K+1, K+1) straight distances in metres; row and column 0 are the depot."""
+    """Returns the straight distances (K+1, K+1) in m; row and column 0 are the depot."""
     nodes = np.concatenate([[scene.depot], scene.items])
     return np.asarray(np.linalg.norm(nodes[:, None] - nodes[None], axis=-1))
 
 
 def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
-    """Cheapest closed tour by the dynamic programme of Held and Karp (1962).
+    """Returns the cheapest closed tour by the dynamic programme of Held and Karp (1962).
 
     Args:
         cost: (K+1, K+1), row = from, column = to, node 0 the depot; need not be symmetric.
@@ -96,7 +96,7 @@ def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
         The tour's cost and its K items (0-based, so node minus one) in order.
 
     Raises:
-        TourError: more than 12 items.
+        TourError: there are more than 12 items.
     """
     count = len(cost) - 1
     if count > MAX_EXACT:
@@ -131,7 +131,7 @@ def _lkh(cost: Array) -> list[int]:
         raise TourError(
             "order lkh: elkai is not installed: pip install elkai, or use --order exact"
         ) from None
-    # elkai silently cuts float weights to integers. Its seed is fixed, so that the same weights
+    # elkai cuts float weights to integers without a word. Its seed is fixed, so the same weights
     # give the same tour.
     unit = max(float(np.max(cost)), 1e-12) / _LONGEST_WEIGHT
     weights = np.rint(cost / unit).astype(np.int64).tolist()
@@ -169,36 +169,36 @@ def _checked(cost: Array, count: int) -> Array:
 
 
 def node_name(node: int) -> str:
-    """'depot' or 'item 3'."""
+    """Returns the name of a node: 'depot', or 'item 3'."""
     return "depot" if node < 0 else f"item {node}"
 
 
-# `from` is a keyword, hence the functional form.
+# `from` is a keyword of Python, hence the functional form.
 Segment = TypedDict(
     "Segment", {"index": int, "from": int, "to": int, "distance": float, "blocked": bool}
 )
 
 
 def segments_table(scene: Scene, order: Sequence[int]) -> list[Segment]:
-    """The K+1 segments: nodes (depot -1), straight distance in metres, and whether it is blocked.
+    """Returns a row for each of the K+1 segments: nodes, straight distance (m), blocked or not.
 
-    Blocked: the body, flying straight from point to point, would touch a box.
+    A segment is blocked if the body, flying straight from point to point, would touch a box.
     """
-    pairs, between = legs(order), distances(scene)
-    ends = np.array([[scene.point(frm), scene.point(to)] for frm, to in pairs])
+    pairs, between = tour_segments(order), distances(scene)
+    ends = np.array([[scene.point(start), scene.point(end)] for start, end in pairs])
     clear = segment_clear(ends[:, 0], ends[:, 1], scene.obstacles, scene.uav_radius)
     return [
         {
             "index": index,
-            "from": frm,
-            "to": to,
-            "distance": float(between[frm + 1, to + 1]),
+            "from": start,
+            "to": end,
+            "distance": float(between[start + 1, end + 1]),
             "blocked": not bool(clear[index]),
         }
-        for index, (frm, to) in enumerate(pairs)
+        for index, (start, end) in enumerate(pairs)
     ]
 
 
 def first_blocked(scene: Scene, order: Sequence[int]) -> int:
-    """Number of the first blocked segment, 0 if none is."""
+    """Returns the number of the first blocked segment, or 0 if none is blocked."""
     return next((row["index"] for row in segments_table(scene, order) if row["blocked"]), 0)

@@ -1,4 +1,4 @@
-"""The scene: an immutable description of one collection problem, read from and written to JSON.
+"""Defines the scene, an immutable description of one collection problem, kept as JSON.
 
 Paper section II: a cube with box obstacles (6)-(8), a depot (4), items (5) and the limits (2)-(3).
 Every impossible or suspicious scene is refused with a `SceneError` that names field, value and fix.
@@ -22,9 +22,9 @@ from mjcollect.geometry.enclosure import Space, walled_in
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.file_format import SceneError, parse, read_text
 
-MAX_EXTENT = 1e5  # metres; beyond this, 1e-6 m is no longer resolved along a mission
-MAX_SUBSTEPS = 1000
-LIMIT_RANGE = (1e-6, 1e6)  # SI; outside, squares and sums lose their digits
+MAX_EXTENT = 1e5  # metres; in wider bounds 1e-6 m is no longer resolved along a mission
+MAX_SUBSTEPS = 1000  # A slot has at most so many physics steps.
+LIMIT_RANGE = (1e-6, 1e6)  # SI units; squares and sums of limits outside lose their digits
 POSITIVE_LIMITS = (
     "v_max",
     "a_max",
@@ -39,21 +39,21 @@ _SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One collection problem. Lengths in metres, times in seconds; arrays are read-only.
+    """Describes one collection problem, in metres and seconds; its arrays are read-only.
 
     Attributes:
-        name: label; `slug` is what run folders are called by.
-        seed: seed that made the scene (0 if made by hand).
-        bounds: (2, 3), minimum and maximum corner; inclusive for the body's centre.
+        name: label of the scene; run folders are named by its `slug`.
+        seed: seed that the scene was drawn with (0 if made by hand).
+        bounds: (2, 3), minimum and maximum corner; the body's centre may lie on them.
         depot: (3,), start and end of the mission.
         items: (K, 3), K >= 1.
         obstacles: (M, 2, 3), boxes as minimum and maximum corner.
         v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
         epsilon: collection radius, eq. (5).
-        slot: length of a slot, the paper's delta.
-        return_tolerance: how near to the depot the mission must end.
+        slot: time for which one command is held, the paper's delta.
+        return_tolerance: distance from the depot within which the mission must end.
         uav_radius: radius of the body; no point of it may touch a box.
-        physics_step: MuJoCo time step; divides the slot.
+        physics_step: MuJoCo's time step; it divides the slot.
     """
 
     name: str
@@ -71,10 +71,10 @@ class Scene:
     physics_step: float = 0.02
 
     def __post_init__(self) -> None:
-        """Freeze the arrays and refuse what cannot be flown.
+        """Freezes the arrays and refuses what cannot be flown.
 
         Raises:
-            SceneError: naming field, value and fix.
+            SceneError: a rule is broken; it names field, value and fix.
         """
         for field, shape in _SHAPES.items():
             array = _array(field, getattr(self, field), shape)
@@ -84,31 +84,31 @@ class Scene:
             object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
         self._check()
 
-    # Derived
+    # Derived values
 
     @property
     def substeps(self) -> int:
-        """Physics steps in a slot (n)."""
+        """Returns the number n of physics steps in a slot."""
         return round(self.slot / self.physics_step)
 
     @property
     def slug(self) -> str:
-        """The name as a file name: everything but letters, digits and . _ - becomes _."""
+        """Returns the name as a file name: all but letters, digits and . _ - becomes _."""
         return re.sub(r"[^A-Za-z0-9._-]|^[.-]", "_", self.name)
 
     def point(self, node: int) -> Array:
-        """Position (3,) of item `node`, or of the depot for -1."""
+        """Returns the position (3,) of item `node`, or of the depot for -1."""
         return self.depot if node < 0 else self.items[node]
 
     def tolerance(self, node: int) -> float:
-        """How near to item `node` (or the depot, -1) the UAV must come to rest, in metres."""
+        """Returns within how many metres of item `node` (or the depot, -1) the UAV must rest."""
         return self.return_tolerance if node < 0 else self.epsilon
 
     # Input and output
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scene:
-        """Read a scene file.
+        """Reads a scene file.
 
         Raises:
             SceneError: the file is unreadable, is not a scene, or the scene is refused.
@@ -117,17 +117,17 @@ class Scene:
 
     @classmethod
     def find(cls, name: str | os.PathLike[str]) -> Scene:
-        """Scene of a file, or a bundled scene by name such as `scenario_1`; see `load`."""
+        """Reads a file, or a bundled scene by a name such as `scenario_1`; see `load`."""
         bundled = asset_path("scenes", f"{name}.json")
         return cls.load(bundled if not Path(name).exists() and bundled.is_file() else name)
 
     @classmethod
     def from_json(cls, text: str) -> Scene:
-        """Scene from JSON text; see `load`."""
+        """Reads a scene from JSON text; raises what `load` raises."""
         return cls(**parse(text))
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON document of the scene, all keys written out."""
+        """Returns the JSON document of the scene, with all keys written out."""
         document: dict[str, Any] = {
             "name": self.name,
             "seed": self.seed,
@@ -139,15 +139,15 @@ class Scene:
         return document | {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the scene file; `load` gives back an equal scene."""
+        """Writes the scene file, from which `load` reads an equal scene."""
         Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n", encoding="utf-8")
 
     def __eq__(self, other: object) -> bool:
-        """Equal when every field is."""
+        """Returns whether every field is equal."""
         return isinstance(other, Scene) and self.to_dict() == other.to_dict()
 
     def __hash__(self) -> int:
-        """Hash that agrees with equality."""
+        """Returns a hash that agrees with equality."""
         return hash(json.dumps(self.to_dict()))
 
     # Rules
@@ -251,7 +251,7 @@ class Scene:
 
 
 def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """A fresh, finite array; -1 in `shape` is any length, also none."""
+    """Returns a fresh, finite array; -1 in `shape` stands for any length, also 0."""
     try:
         array = np.array(value, dtype=np.float64)
         if array.size == 0 and shape[0] < 0:

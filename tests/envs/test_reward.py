@@ -19,7 +19,7 @@ A, TOP, SLOT, GAMMA = 20.0, 50.0, 0.2, 0.99
 WORLD = World.stack([Scene("t", 0, [[0] * 3, [1000] * 3], [0.0] * 3, [[990.0] * 3], [])])
 
 
-def approach(distance, closing, offset=None, returning=False, slack=0.0, onward=0.0):
+def approach(distance, closing, offset=None, returning=False, slack=0.0, next_excess=0.0):
     """What rewards read of an `Approach`."""
     distance, closing = np.atleast_1d(distance).astype(float), np.atleast_1d(closing).astype(float)
     count = len(distance)
@@ -31,7 +31,7 @@ def approach(distance, closing, offset=None, returning=False, slack=0.0, onward=
         returning=np.full(count, returning),
         near=np.maximum(distance - slack, 0.0),
         far=distance + slack,
-        onward=np.full(count, onward),
+        next_excess=np.full(count, next_excess),
     )
     made.time_to_go = lambda world: Approach.time_to_go(made, world)  # type: ignore[arg-type]
     return made
@@ -45,12 +45,16 @@ def events(contact=False, outside=False, arrived=False):
 def test_a_stop_is_paid_for_what_it_costs_on_the_next_leg():
     before = approach(3.0, 4.0)
     near, far = (
-        time_reward(WORLD, before, approach(3.0, 0.0, onward=m), events(arrived=True), GAMMA)[0]
+        time_reward(WORLD, before, approach(3.0, 0.0, next_excess=m), events(arrived=True), GAMMA)[
+            0
+        ]
         for m in (-5.0, 5.0)
     )
     assert near - far == pytest.approx(GAMMA * 10.0 / TOP)
     near, far = (
-        lost_reward(WORLD, before, approach(3.0, 0.0, onward=m), events(arrived=True), GAMMA)[0]
+        lost_reward(WORLD, before, approach(3.0, 0.0, next_excess=m), events(arrived=True), GAMMA)[
+            0
+        ]
         for m in (-5.0, 5.0)
     )
     assert near - far == pytest.approx(10.0 / TOP)

@@ -125,16 +125,15 @@ def test_corners_are_moved_outwards_by_what_is_cut_of_them():
         assert high[v_max] - high[1.0] == pytest.approx(cut, rel=0.3)
 
 
-@pytest.mark.parametrize("room", [0.3, 0.9, 2.0, 4.0])
+@pytest.mark.parametrize("room", [1.0, 1.5, 2.0, 4.0])
 def test_a_passage_with_less_room_is_flown_in_its_middle_or_as_near_as_it_goes(room):
-    """A slit between two boxes that leaves `room` on both sides of the body."""
+    """A slit between two boxes that leaves `room` on both sides of the body.
+
+    Narrower ones are not found on the finest grid and refused, see `test_guidance`.
+    """
     half = RADIUS + room
     boxes = [[[200.0, 0, 0], [206, 40 - half, 60]], [[200.0, 40 + half, 0], [206, 60, 60]]]
-    try:
-        guide = Guidance(scene(boxes), 0, np.array([10.0, 30, 30]))
-    except ValueError:
-        assert half < 2.0  # narrower than two cells of the finest grid
-        return
+    guide = Guidance(scene(boxes), 0, np.array([10.0, 30, 30]))
     check(guide)
     inside = dense(polyline(guide))
     inside = inside[(inside[:, 0] >= 200) & (inside[:, 0] <= 206)]

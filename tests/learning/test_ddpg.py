@@ -5,9 +5,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from mjcollect.learning.ddpg import make_buffer, sample
 from mjcollect.learning.fast_ddpg import LEARNERS
 from mjcollect.learning.norm_relu import norm_relu_backward, torch_backward
-from mjcollect.learning.replay import make_buffer, sample
 
 SETTINGS = {
     "width": 32, "gamma": 0.97, "alpha_actor": 1e-3, "alpha_critic": 2e-3, "alpha_target": 0.05,

@@ -6,14 +6,14 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from mjcollect.envs.batch import BatchedFlightEnv
 from mjcollect.envs.course import Course
 from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.ddpg import Learner
+from mjcollect.learning.ddpg import Learner, algorithm_1, make_buffer
 from mjcollect.learning.evaluation import Evaluation, Evaluator
 from mjcollect.learning.policy import TrainedPolicy
-from mjcollect.learning.random_streams import stream
-from mjcollect.learning.replay import make_buffer
-from mjcollect.learning.trainer import segment_trainer
+from mjcollect.learning.random_streams import stream, torch_seed
+from mjcollect.learning.trainer import make_simulations, segment_trainer
 from mjcollect.scene.scene import Scene
 from train.support.run_folder import RunFolder
 
@@ -258,3 +258,30 @@ def test_learns_to_fly_round_the_gate(course):
     assert best.success_rate == 1.0
     assert untrained.success_rate < 0.5  # learned, not given
     assert best.mean_time < 1.1 * law.mean_time
+
+
+def test_the_training_loop_is_algorithm_1(course):
+    """Without demonstrations, the trainer's weights are those of the plain loop, bit for bit."""
+    config = dataclasses.replace(
+        SMALL, updates=40, learner="torchrl", demonstrations=0, guided_share=0.0, noise_min=0.2,
+        noise_max=0.2, actor_delay=0,
+    )  # fmt: skip
+    trainer = trained(course, config)
+    torch.manual_seed(torch_seed(0, "torch"))
+    env = BatchedFlightEnv(make_simulations([course], config, 0))
+    learner = Learner(
+        env.observation_spec["observation"].shape[-1], width=config.width, gamma=config.gamma,
+        alpha_actor=config.alpha_actor, alpha_critic=config.alpha_critic,
+        alpha_target=config.alpha_target, final_rate=config.final_rate, total_updates=40,
+    )  # fmt: skip
+    generator = torch.Generator().manual_seed(torch_seed(0, "noise"))
+    torch.randperm(config.envs, generator=generator)  # the trainer shuffles its simulations' noise
+    buffer = make_buffer(config.buffer, config.batch, torch_seed(0, "replay"))
+    algorithm_1(
+        env, learner, buffer, updates=40, u1=config.u1, u2=config.u2, noise=0.2,
+        generator=generator,
+    )  # fmt: skip
+    env.close()
+    plain = torch.cat([p.detach().flatten() for p in learner.actor.parameters()])
+    assert learner.updates == trainer.learner.updates == 40
+    assert torch.equal(plain, weights(trainer))

@@ -41,8 +41,8 @@ def mission(scene: Scene, nodes: list[int]) -> Trajectory:
     parts = [np.tile(scene.point(nodes[0]), (1, 1))]
     share = (1 - np.cos(np.linspace(0, np.pi, 401)[1:, None])) / 2
     for start, end in pairwise(nodes):
-        leg = scene.point(start) + share * (scene.point(end) - scene.point(start))
-        parts.append(np.concatenate([leg, leg[-1:]]))
+        segment = scene.point(start) + share * (scene.point(end) - scene.point(start))
+        parts.append(np.concatenate([segment, segment[-1:]]))
     x = np.concatenate(parts)
     v = np.diff(x, axis=0, prepend=x[:1]) / 0.02
     a = np.diff(v, axis=0, append=np.zeros((1, 3))) / 0.02

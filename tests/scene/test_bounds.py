@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mjcollect.scene import bounds
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.bounds import detour_bound, leg_time, mission_bound, segment_bound
-from mjcollect.scene.order import legs, plan_order
+from mjcollect.scene.order import plan_order, tour_segments
 from mjcollect.scene.scene import Scene
 
 
@@ -69,7 +69,7 @@ def test_mission_bound_equals_brute_force(count):
         # A wide return ball makes the two directions of a tour differ.
         scene = random_scene(seed, count, return_tolerance=200.0)
         expected = min(
-            sum(segment_bound(scene, frm, to) for frm, to in legs(order))
+            sum(segment_bound(scene, frm, to) for frm, to in tour_segments(order))
             for order in permutations(range(count))
         )
         assert mission_bound(scene) == (pytest.approx(expected), "held-karp-exact")
@@ -128,7 +128,9 @@ def test_spanning_tree_equals_scipy():
 def test_many_items_have_a_tight_bound_below_an_lkh_tour(count):
     scene = random_scene(count, count)
     value, method = mission_bound(scene)
-    flown = sum(segment_bound(scene, frm, to) for frm, to in legs(plan_order(scene, "lkh")))
+    flown = sum(
+        segment_bound(scene, frm, to) for frm, to in tour_segments(plan_order(scene, "lkh"))
+    )
     assert method != "held-karp-exact"
     assert 0.97 * flown < value <= flown
     assert mission_bound(scene) == (value, method)

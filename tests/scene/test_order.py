@@ -10,10 +10,10 @@ from mjcollect.scene.order import (
     ORDER_METHODS,
     TourError,
     held_karp,
-    legs,
     order_label,
     plan_order,
     tour_length,
+    tour_segments,
 )
 from mjcollect.scene.scene import Scene
 
@@ -174,7 +174,7 @@ def test_items_on_one_point_are_a_tour():
 
 
 def test_legs_and_labels():
-    assert legs((2, 0, 1)) == [(-1, 2), (2, 0), (0, 1), (1, -1)]
+    assert tour_segments((2, 0, 1)) == [(-1, 2), (2, 0), (0, 1), (1, -1)]
     assert [order_label(method) for method in (*ORDER_METHODS, "1,0")] == [
         *ORDER_METHODS,
         "explicit",

@@ -15,7 +15,7 @@ from mjcollect.learning.trainer import segment_trainer
 from mjcollect.scene.scene import Scene
 from train import mission, segment
 from train.jobs.workers import learn_arguments
-from train.support.presets import OPEN, PAPER, PRESETS, with_preset, with_slot
+from train.support.presets import PAPER, PRESETS, with_preset, with_slot
 from train.support.run_folder import RunError
 
 TINY = (  # noqa: SIM905 - reads like the command line
@@ -71,17 +71,13 @@ def test_the_paper_preset_leaves_the_rest_alone(program):
     for field in dataclasses.fields(LearnConfig):
         if field.name not in PAPER:
             assert getattr(with_it.learn, field.name) == getattr(without.learn, field.name)
-    for field in OPEN:
-        assert getattr(with_it.learn, field) == getattr(LearnConfig(), field)
 
 
-def test_every_choice_is_a_setting_and_has_a_source():
+def test_every_entry_is_a_setting():
     fields = {field.name for field in dataclasses.fields(LearnConfig)}
     fields |= {field.name for field in dataclasses.fields(mission.Args)}
     for preset in PRESETS.values():
         assert set(preset) <= fields
-        assert all(choice.source for choice in preset.values())
-    assert not set(OPEN) & set(PAPER)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from mjcollect.envs.recording import fly as fly_policies
 from mjcollect.envs.recording import fly_law
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.generate import LAYOUTS
-from mjcollect.learning.networks import make_actor
+from mjcollect.learning.ddpg import make_actor
 from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.scene import Scene
@@ -105,19 +105,10 @@ def test_the_shipped_policy_arrives_in_scenes_it_was_not_trained_on(layout):
         sims.close()
 
 
-def test_the_shipped_policy_is_small_and_has_a_card():
+def test_the_shipped_policy_is_small_and_the_one_that_its_card_describes():
     file = asset_path("policies", "generalist.safetensors")
     assert file.stat().st_size < 2e6
-    card = file.with_name("README.md").read_text()
-    for word in (
-        "Training scenes",
-        "Seed",
-        "Command",
-        "Held out",
-        "Limits",
-        policy_digest(SHIPPED),
-    ):
-        assert word in card, word
+    assert policy_digest(SHIPPED) in file.with_name("README.md").read_text()
 
 
 def test_the_shield_acts_unless_told_not_to(scene_file, weights, tmp_path):
@@ -144,7 +135,6 @@ def test_what_fails_and_is_not_trained_is_flown_by_the_reference(scene_file, wei
     assert code == 0
     assert result["planner"] == "reference"
     assert verified(scene_file, out)
-    assert "flown by the reference planner" in (out / "report.md").read_text()
 
 
 def test_failing_segments_are_trained_one_after_another(scene_file, weights, tmp_path, monkeypatch):
@@ -166,7 +156,6 @@ def test_failing_segments_are_trained_one_after_another(scene_file, weights, tmp
     assert result["planner"] == "policy"
     assert asked == [(k, 7, "wild.safetensors") for k in range(3)]
     assert [entry["updates"] for entry in result["segments"]] == [7, 7, 7]
-    assert "trained there with 7 updates" in (out / "report.md").read_text()
 
 
 def test_a_training_that_does_not_help_is_not_repeated(scene_file, weights, tmp_path):
@@ -191,10 +180,10 @@ def test_the_first_failure_is_found(scene_file):
     course = Course.mission(scene, (0, 1))
     whole = fly_law(course)
     assert repair.first_failure(course, (0, 1), whole) is None
-    for legs in (0, 1, 2):
+    for segments in (0, 1, 2):
         cut = Course.mission(scene, (0, 1))
-        object.__setattr__(cut, "step_limit", round((whole.arrivals[legs] - 0.4) / scene.slot))
-        assert repair.first_failure(cut, (0, 1), fly_law(cut)) == legs
+        object.__setattr__(cut, "step_limit", round((whole.arrivals[segments] - 0.4) / scene.slot))
+        assert repair.first_failure(cut, (0, 1), fly_law(cut)) == segments
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Programs in processes of their own that need not import everything anew.
+"""Runs programs in processes of their own that need not import everything anew.
 
 Importing torch, TorchRL and matplotlib takes longer than the training of an easy segment. A server
 process, multiprocessing's fork server, imports them once and never does anything else, so that a
@@ -25,14 +25,15 @@ IMPORTED = ("train.segment", "train.mission", "train.fly", "mjcollect.render.pat
 
 
 def warm_up() -> None:
-    """Let the server start to import, beside whatever this process does next."""
+    """Lets the server start to import, beside whatever this process does next."""
     forkserver.set_forkserver_preload(list(IMPORTED))
     forkserver.ensure_running()
 
 
 def importing_pool(workers: int) -> ProcessPoolExecutor:
-    """A pool of `workers` processes that import for themselves, leave Ctrl-C to this one, and end
-    with it, even with SIGKILL.
+    """Returns a pool of `workers` processes that import for themselves.
+
+    They leave Ctrl-C to this process, and end with it, even if it is killed by SIGKILL.
     """
     context = multiprocessing.get_context("spawn")  # fork would copy this process's threads
     return ProcessPoolExecutor(workers, mp_context=context, initializer=_settle)
@@ -44,14 +45,10 @@ def _settle() -> None:
 
 
 class Program:
-    """`python -m program arguments`, running; ends with this process, even with SIGKILL."""
+    """Is a running `python -m program arguments`, which ends with this process, even by SIGKILL."""
 
     def __init__(self, program: str, arguments: Sequence[str]) -> None:
-        """Start it, in a session of its own: a Ctrl-C in the terminal does not reach it.
-
-        Args:
-            program: module. arguments: of its command line.
-        """
+        """Starts a module, in a session of its own: a Ctrl-C in the terminal does not reach it."""
         warm_up()
         context = multiprocessing.get_context("forkserver")
         with tempfile.NamedTemporaryFile(prefix="mjcollect-", delete=False) as file:
@@ -63,13 +60,13 @@ class Program:
             self._process.start()
 
     def interrupt(self) -> None:
-        """Ctrl-C."""
+        """Does to the program what Ctrl-C does."""
         if self._process.pid is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._process.pid, signal.SIGINT)
 
     def result(self) -> tuple[int, str]:
-        """Wait for the end: exit code, and everything that was written to stdout and stderr."""
+        """Waits for the end; returns exit code, and what was written to stdout and stderr."""
         self._process.join()
         with open(self._output, encoding="utf-8", errors="replace") as file:
             output = file.read()
@@ -80,7 +77,7 @@ class Program:
 
 @contextlib.contextmanager
 def _no_main_module() -> Iterator[None]:
-    """Keep multiprocessing from importing this process's main module again in the new one."""
+    """Keeps multiprocessing from importing this process's main module again in the new one."""
     main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
     try:
         yield
@@ -89,13 +86,13 @@ def _no_main_module() -> Iterator[None]:
 
 
 def ended(programs: Sequence[Program], timeout: float) -> list[Program]:
-    """Those of `programs` that have ended, after at most `timeout` seconds with none."""
+    """Returns those of `programs` that have ended; none if none has within `timeout` seconds."""
     sentinels = {program._process.sentinel: program for program in programs}
     return [sentinels[ready] for ready in wait(list(sentinels), timeout) if isinstance(ready, int)]
 
 
 def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: str) -> None:
-    """What the forked process does."""
+    """Becomes the program, in the process forked from the server."""
     os.setsid()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with open(output, "w") as file:
@@ -110,6 +107,11 @@ def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], outpu
 
 
 def _end_with_parent() -> None:
+    """Waits, in a thread, for the process that asked for this one; then ends by SIGKILL.
+
+    The kernel's PR_SET_PDEATHSIG would not do: the parent in its eyes is the fork server, which
+    lives on until the last process forked from it ends.
+    """
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

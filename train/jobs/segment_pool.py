@@ -1,4 +1,4 @@
-"""Many segments of many generated scenes, for a policy that is to fly all of them.
+"""Draws segments of generated scenes, for a policy that is to fly all of them.
 
 Segment k of a pool depends on its number and the pool's seed alone. Building a segment's guidance
 takes a second or so; processes of their own do it once, into files.
@@ -21,29 +21,33 @@ from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
 from train.jobs.processes import importing_pool
 
-ITEMS = (2, 8)  # of a scene, both included
+# The least and greatest number of items and boxes in a scene, and size as a share of 1000 m.
+ITEMS = (2, 8)
 OBSTACLES = (5, 60)
-SCALE = (0.3, 1.0)  # of the scene's size against the generator's 1000 m
+SCALE = (0.3, 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class DrawnSegment:
-    """A segment: of which scene, tour and number."""
+    """Names a segment: its scene, the scene's visiting order, and its number in it."""
 
     scene: Scene
     order: tuple[int, ...]
     index: int
 
-    def course(self, folder: Path) -> Course:
-        """Its course, with guidance from the files in `folder` if it is there."""
+    def course(self, folder: Path | None = None) -> Course:
+        """Returns its course, with guidance from the files in `folder` if it is there.
+
+        Raises:
+            GuidanceError: The guidance finds no way.
+        """
         return Course.segment(self.scene, self.order, self.index, folder)
 
 
 def draw_segment(seed: int, number: int, layout: str | None = None) -> DrawnSegment:
-    """Segment `number` of the pool of a seed: layout, numbers, size and segment are drawn.
+    """Draws layout, numbers, size and place of segment `number` of the pool of a seed.
 
-    Args:
-        layout: one of `generate.LAYOUTS`; None draws it.
+    The layout is one of `generate.LAYOUTS`; None draws it.
     """
     rng = np.random.default_rng(stream(seed, f"segment {number}"))
     layout = layout or str(rng.choice(LAYOUTS))
@@ -55,22 +59,16 @@ def draw_segment(seed: int, number: int, layout: str | None = None) -> DrawnSegm
 
 
 def scaled(scene: Scene, factor: float) -> Scene:
-    """The scene with all lengths of its layout times a factor, rounded to millimetres."""
-    return dataclasses.replace(
-        scene,
-        name=f"{scene.name}_x{factor:.2f}",
-        bounds=np.round(scene.bounds * factor, 3),
-        depot=np.round(scene.depot * factor, 3),
-        items=np.round(scene.items * factor, 3),
-        obstacles=np.round(scene.obstacles * factor, 3),
-    )
+    """Returns the scene with all coordinates times a factor, rounded to millimetres."""
+    fields = ("bounds", "depot", "items", "obstacles")
+    lengths = {field: np.round(getattr(scene, field) * factor, 3) for field in fields}
+    return dataclasses.replace(scene, name=f"{scene.name}_x{factor:.2f}", **lengths)
 
 
 def build(seed: int, folder: Path, number: int) -> bool:
-    """Build a segment's guidance into `folder`; False where no way was found."""
-    leg = draw_segment(seed, number)
+    """Builds a segment's guidance into `folder`; returns False where it finds no way."""
     try:
-        leg.course(folder).save_guidance(folder)
+        draw_segment(seed, number).course(folder).save_guidance(folder)
     except GuidanceError:
         return False
     return True
@@ -79,7 +77,7 @@ def build(seed: int, folder: Path, number: int) -> bool:
 def build_all(
     seed: int, numbers: Sequence[int], folder: Path, workers: int
 ) -> Iterator[tuple[int, bool]]:
-    """`build` each of `numbers` in `workers` processes; yields number and success, in order."""
+    """Builds segments in `workers` processes; yields each number and whether it went well."""
     with importing_pool(workers) as pool:
         try:
             yield from zip(numbers, pool.map(partial(build, seed, folder), numbers), strict=True)

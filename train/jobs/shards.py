@@ -1,7 +1,7 @@
-"""Simulations spread over processes of their own, here or on the nodes of a Ray cluster.
+"""Spreads simulations over processes of their own, here or on the nodes of a Ray cluster.
 
-In lock-step: all fly a slot, then the learner goes on. So a run depends on its seed and on the
-number of its shards, not on where they are or how fast.
+They go in lock-step: all fly a slot, then the learner goes on. So a run depends on its seed and on
+the number of its shards, not on where they are or how fast.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ class Server:
     """Holds one shard's simulations in its process."""
 
     def __init__(self) -> None:
-        """Nothing is held yet."""
+        """Begins with no simulations."""
         self._simulations: Simulations | None = None
 
     def make(self, make: Make) -> None:
-        """Hold other simulations."""
+        """Holds the simulations that `make` returns, in place of those before."""
         if self._simulations is not None:
             self._simulations.close()
         self._simulations = make()
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """A method of the simulations."""
+        """Calls a method of the simulations."""
         return getattr(self._simulations, name)(*arguments)
 
     def step(self, action: Array) -> tuple[Outcome, Array]:
-        """The outcome of a slot, and what is observed after it: one journey instead of two."""
+        """Returns a slot's outcome and the observation after it: one journey instead of two."""
         assert self._simulations is not None
         return self._simulations.step(action), self._simulations.observe()
 
@@ -55,30 +55,30 @@ def _ask(name: str, arguments: tuple[Any, ...]) -> Any:
 
 
 class LocalCrew:
-    """Servers in processes of this machine."""
+    """Holds servers in processes of this machine."""
 
     def __init__(self, count: int) -> None:
-        """Start `count` of them; they end with this process."""
+        """Starts `count` servers, which end with this process."""
         self._pools = [importing_pool(1) for _ in range(count)]
 
     def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """What a method of every server gives for its own arguments."""
+        """Calls a method of every server, each with arguments of its own; returns the answers."""
         asked = [
             pool.submit(_ask, name, own) for pool, own in zip(self._pools, arguments, strict=True)
         ]
         return [answer.result() for answer in asked]
 
     def close(self) -> None:
-        """End the processes."""
+        """Ends the processes."""
         for pool in self._pools:
             pool.shutdown(cancel_futures=True)
 
 
 class RayCrew:
-    """Servers as actors of the Ray cluster that `workers.connect_ray` has connected to."""
+    """Holds servers as actors of the cluster that `workers.connect_ray` has connected to."""
 
     def __init__(self, count: int) -> None:
-        """Start `count` actors, each on a core of its own."""
+        """Starts `count` actors, each on a core of its own."""
         import ray
 
         self._ray = ray
@@ -86,7 +86,7 @@ class RayCrew:
         self._actors = [actor.remote() for _ in range(count)]
 
     def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """As `LocalCrew.ask`."""
+        """Calls a method of every server, as `LocalCrew.ask` does."""
         pairs = zip(self._actors, arguments, strict=True)
         answers: list[Any] = self._ray.get(
             [getattr(actor, name).remote(*own) for actor, own in pairs]
@@ -94,7 +94,7 @@ class RayCrew:
         return answers
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Leaves the cluster."""
         self._ray.shutdown()
 
 
@@ -102,13 +102,13 @@ Crew = LocalCrew | RayCrew
 
 
 class ShardedSimulations:
-    """The simulations of a crew, in the order of its shards, as one `batch.Fleet`."""
+    """Makes one `batch.Fleet` of the simulations of a crew, in the order of its shards."""
 
     def __init__(self, crew: Crew, makes: Sequence[Make], counts: Sequence[int]) -> None:
-        """Have every server make its simulations.
+        """Has every server make its simulations.
 
         Args:
-            makes, counts: for each server, what to hold and how many that are.
+            makes: what each server calls. counts: how many simulations each then holds.
         """
         self._crew, self.count = crew, sum(counts)
         self._ends = np.cumsum(counts)
@@ -119,7 +119,7 @@ class ShardedSimulations:
         return np.concatenate(self._crew.ask("call", [(name,)] * len(self._ends)))
 
     def reset(self, chosen: Indices | None = None) -> None:
-        """As `Simulations.reset`."""
+        """Draws new starts, as `Simulations.reset` does."""
         which = np.arange(self.count) if chosen is None else chosen
         parts = [
             which[(which >= begin) & (which < end)] - begin
@@ -130,7 +130,7 @@ class ShardedSimulations:
         self._seen[np.sort(which)] = np.concatenate(rows)
 
     def step(self, action: Array) -> Outcome:
-        """As `Simulations.step`."""
+        """Flies one slot with raw actions (N, 3), as `Simulations.step` does."""
         parts = np.split(action, self._ends[:-1])
         outcomes, seen = zip(*self._crew.ask("step", [(part,) for part in parts]), strict=True)
         self._seen = np.concatenate(seen)
@@ -138,33 +138,33 @@ class ShardedSimulations:
         return _joined(Outcome, outcomes, slot=slot)
 
     def observe(self, chosen: Indices | None = None) -> Array:
-        """As `Simulations.observe`."""
+        """Returns observations (N, D), as `Simulations.observe` does."""
         return self._seen.copy() if chosen is None else self._seen[chosen]
 
     def law(self) -> Array:
-        """As `Simulations.law`."""
+        """Returns actions (N, 3) of the guidance law, as `Simulations.law` does."""
         return self._all("law")
 
     def seed(self, seed: int | None) -> None:
-        """Draw the next starts from streams of this seed."""
+        """Draws the next starts from streams of this seed."""
         seeds = np.random.SeedSequence(seed).generate_state(len(self._ends))
         self._crew.ask("call", [("seed", int(own)) for own in seeds])
 
     def state_dict(self) -> dict[str, Any]:
-        """The states of all shards."""
+        """Returns the states of all shards."""
         return {"shards": self._crew.ask("call", [("state_dict",)] * len(self._ends))}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go back to states of `state_dict`."""
+        """Goes back to states of `state_dict`."""
         self._crew.ask("call", [("load_state_dict", own) for own in state["shards"]])
         self._seen = self._all("observe")
 
     def close(self) -> None:
-        """Nothing: the crew goes on to other simulations."""
+        """Does nothing, since the crew goes on to other simulations."""
 
 
 def _joined(kind: type[Any], parts: Sequence[Any], **given: Any) -> Any:
-    """Dataclasses of arrays (n, ...) put one after another."""
+    """Returns dataclasses of arrays (n, ...) put one after another."""
     names = [field.name for field in dataclasses.fields(kind) if field.name not in given]
     arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return kind(**arrays, **given)

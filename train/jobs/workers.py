@@ -1,4 +1,4 @@
-"""Run programs side by side: in local processes, or as tasks of a Ray cluster.
+"""Runs programs side by side: in local processes, or as tasks of a Ray cluster.
 
 A mission's segments are one `python -m train.segment` each, a reproduction's cells one
 `train.mission` or `train.fly`: processes of their own with seeds of their own, so the result does
@@ -8,13 +8,9 @@ not depend on where, or beside what, they run.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import dataclasses
 import io
 import shutil
-import signal
-import subprocess
-import sys
 import tarfile
 import tempfile
 from collections import deque
@@ -33,11 +29,13 @@ from train.support.run_folder import RunError
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a program, such as the training of a segment.
+    """Says what to run: a program, such as the training of a segment, with its arguments.
 
     Attributes:
-        index: of the segment, or of whatever is run. arguments: of the program, without --out.
-        folder: where the run goes. program: its module.
+        index: The number of the segment, or of whatever is run.
+        arguments: The program's arguments without --out.
+        folder: The folder in which the program leaves its files, its --out.
+        program: The program's module.
     """
 
     index: int
@@ -48,7 +46,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """How a job ended: exit code, and the last line of its messages."""
+    """Says how a job ended: by which exit code, and with which last line of messages."""
 
     job: Job
     code: int
@@ -56,18 +54,18 @@ class Done:
 
 
 def attempt_seed(seed: int, segment: int, attempt: int) -> int:
-    """Seed of the `attempt`-th training of a segment, from the mission's seed."""
+    """Returns the seed of the `attempt`-th training of a segment, from the mission's seed."""
     name = f"segment {segment} attempt {attempt}"
     return int(stream(seed, name).generate_state(1, np.uint32)[0])
 
 
 def learn_arguments(config: LearnConfig) -> list[str]:
-    """The settings as command line arguments."""
+    """Returns the learner's settings as command line arguments."""
     return settings_arguments(dataclasses.asdict(config))
 
 
 def settings_arguments(settings: Mapping[str, bool | float | str]) -> list[str]:
-    """Settings by name as command line arguments: `--name value`, or `--name` and `--no-name`."""
+    """Returns settings as arguments: `--name value`, or `--name` and `--no-name`."""
     arguments = []
     for name, value in settings.items():
         flag = name.replace("_", "-")
@@ -82,17 +80,17 @@ class LocalWorkers:
     """Runs jobs in up to `count` processes, which end with this one."""
 
     def __init__(self, count: int) -> None:
-        """Nothing runs yet."""
+        """Prepares the workers; nothing runs yet."""
         self.count = count
         self._waiting: deque[Job] = deque()
         self._running: dict[Program, Job] = {}
 
     def submit(self, job: Job) -> None:
-        """Queue a job."""
+        """Queues a job."""
         self._waiting.append(job)
 
     def next_done(self, timeout: float) -> Done | None:
-        """The next finished job, or None after `timeout` seconds; starts those whose turn it is."""
+        """Starts jobs whose turn it is; returns one that ended, None after `timeout` seconds."""
         while self._waiting and len(self._running) < self.count:
             job = self._waiting.popleft()
             started = Program(job.program, (*job.arguments, "--out", str(job.folder)))
@@ -103,20 +101,13 @@ class LocalWorkers:
         return None
 
     def stop(self) -> None:
-        """Let the running jobs save a checkpoint and end; start no further ones."""
+        """Lets the running jobs save a checkpoint and end; starts no further ones."""
         self._waiting.clear()
         for program in self._running:
             program.interrupt()
         for program in self._running:
             program.result()
         self._running.clear()
-
-
-def _end_with_parent() -> None:
-    """Have the kernel kill this process when its parent ends, even by SIGKILL (Linux)."""
-    pr_set_pdeathsig = 1
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def _last_line(output: str) -> str:
@@ -132,7 +123,7 @@ class RayWorkers:
     """
 
     def __init__(self) -> None:
-        """Use the cluster of `connect_ray`."""
+        """Prepares tasks for the cluster that `connect_ray` has connected to."""
         import ray
 
         self._ray = ray
@@ -140,12 +131,12 @@ class RayWorkers:
         self._jobs: dict[Any, Job] = {}
 
     def submit(self, job: Job) -> None:
-        """Queue a job, with what its folder already holds."""
+        """Queues a job, with what its folder already holds."""
         scene = Path(job.arguments[job.arguments.index("--scene") + 1]).read_text(encoding="utf-8")
         self._jobs[self._task.remote(job.program, job.arguments, scene, pack(job.folder))] = job
 
     def next_done(self, timeout: float) -> Done | None:
-        """The next finished job, or None after `timeout` seconds."""
+        """Returns a job that ended, None after `timeout` seconds."""
         ready, _ = self._ray.wait(list(self._jobs), num_returns=1, timeout=timeout)
         if not ready:
             return None
@@ -155,17 +146,17 @@ class RayWorkers:
         return Done(job, code, message)
 
     def stop(self) -> None:
-        """Cancel what runs and leave the cluster."""
+        """Cancels what runs and leaves the cluster."""
         for task in self._jobs:
             self._ray.cancel(task, force=True)
         self._ray.shutdown()
 
 
 def need_ray() -> None:
-    """Check that Ray is installed.
+    """Checks that Ray is installed.
 
     Raises:
-        RunError: it is not.
+        RunError: It is not.
     """
     try:
         import ray  # noqa: F401
@@ -176,10 +167,10 @@ def need_ray() -> None:
 
 
 def connect_ray(address: str, cpus: int = 0) -> None:
-    """Connect to a cluster: an address, `auto`, or `local` for one on this machine.
+    """Connects to a cluster: an address, `auto`, or `local` for one on this machine.
 
     Raises:
-        RunError: no cluster answers there, or it has fewer than `cpus` cores.
+        RunError: No cluster answers there, or it has fewer than `cpus` cores.
     """
     import ray
 
@@ -203,28 +194,20 @@ def connect_ray(address: str, cpus: int = 0) -> None:
 def _run_packed(
     program: str, arguments: Sequence[str], scene: str, packed: bytes
 ) -> tuple[int, str, bytes]:
-    """What a Ray task does: unpack, run, pack."""
+    """Unpacks a job's folder, runs the job there, and packs the folder again, in a Ray task."""
     with tempfile.TemporaryDirectory() as folder:
         out, scene_file = Path(folder) / "run", Path(folder) / "scene.json"
         scene_file.write_text(scene, encoding="utf-8")
         unpack(packed, out)
         at = list(arguments).index("--scene")
         arguments = [*arguments[: at + 1], str(scene_file), *arguments[at + 2 :]]
-        command = [sys.executable, "-m", program, *arguments, "--out", str(out)]
-        done = subprocess.run(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            check=False,
-            preexec_fn=_end_with_parent,  # a cancelled task's
-        )
-        return done.returncode, _last_line(done.stdout), pack(out)
+        # It ends with this process, which Ray kills to cancel a task.
+        code, output = Program(program, (*arguments, "--out", str(out))).result()
+        return code, _last_line(output), pack(out)
 
 
 def pack(folder: Path) -> bytes:
-    """A folder as tar bytes; empty if it is not there."""
+    """Returns a folder as the bytes of a tar file; empty if it is not there."""
     if not folder.is_dir():
         return b""
     buffer = io.BytesIO()
@@ -234,7 +217,7 @@ def pack(folder: Path) -> bytes:
 
 
 def unpack(packed: bytes, folder: Path) -> None:
-    """Put what `pack` gave in place of a folder: it is whole or not there."""
+    """Puts what `pack` gave in place of a folder, which is whole or not there at any time."""
     if packed:
         part = folder.with_name(f".part-{folder.name}")
         shutil.rmtree(part, ignore_errors=True)
@@ -250,7 +233,7 @@ Workers = LocalWorkers | RayWorkers
 
 @contextlib.contextmanager
 def open_workers(count: int, *, ray: bool) -> Iterator[Workers]:
-    """Local workers, or those of the Ray cluster connected to; stopped at the end."""
+    """Gives local workers, or those of the connected Ray cluster, and stops them at the end."""
     workers: Workers = RayWorkers() if ray else LocalWorkers(count)
     try:
         yield workers
@@ -264,10 +247,11 @@ def run_jobs(
     retry: Callable[[Done], Job | None],
     tick: Callable[[], bool],
 ) -> bool:
-    """Run all jobs, and those that `retry` gives for finished ones.
+    """Runs all jobs, and those that `retry` returns for finished ones.
 
     Args:
-        retry: called with each finished job. tick: called several times a second; True stops.
+        retry: called with each finished job; returns the job to run in its place, or None.
+        tick: called several times a second; True stops everything.
 
     Returns:
         Whether all were run.

@@ -1,6 +1,6 @@
-"""Computes what the visiting order alone is worth: with straight legs, nothing flown.
+"""Computes what the visiting order alone is worth: with straight segments, nothing flown.
 
-The bound of an order is the sum of its legs' lower bounds (`mjcollect.scene.bounds`): straight
+The bound of an order is the sum of its segments' lower bounds (`mjcollect.scene.bounds`): straight
 distance, stops anywhere in the balls.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.bounds import leg_time, segment_bound
-from mjcollect.scene.order import legs
+from mjcollect.scene.order import tour_segments
 from mjcollect.scene.scene import Scene
 
 MOST = 8  # items of a random instance
@@ -24,7 +24,7 @@ CHUNK = 2_000  # instances worked on at once, for the memory's sake
 
 def order_bound(scene: Scene, order: tuple[int, ...]) -> float:
     """Return the lower bound in s on a mission flown in `order`."""
-    return sum(segment_bound(scene, frm, to) for frm, to in legs(order))
+    return sum(segment_bound(scene, frm, to) for frm, to in tour_segments(order))
 
 
 def all_bounds(scene: Scene) -> Array:
@@ -105,7 +105,7 @@ def study(instances: int, seed: int, paper_saving: float) -> dict[str, Any]:
 
 
 def leg_costs(points: Array) -> Array:
-    """Return the leg bounds (B, N, N) in s between points (B, N, 3), the depot first."""
+    """Return the segment bounds (B, N, N) in s between points (B, N, 3), the depot first."""
     distance = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
     slack = np.full(distance.shape[1:], 2 * EPSILON)
     slack[0, :] = EPSILON

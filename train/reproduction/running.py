@@ -16,7 +16,7 @@ from train.support.run_folder import RunFolder
 
 # What is left of a finished cell, unless everything is kept.
 KEPT = ("mission.json", "trajectory.csv", "scene.json", "config.json", "command.txt", "report.md")
-# About how many seconds a leg takes: cells are sorted, and progress is measured, by it.
+# About how many seconds a segment takes: cells are sorted, and progress is measured, by it.
 SECONDS = {"policy": 40.0, "mpc": 1.5, "guidance": 1.0, "reference": 5.0}
 
 

@@ -1,4 +1,4 @@
-"""The flags that the programs which train share, and what they refuse before any work."""
+"""Declares the flags that several programs share, and refuses wrong values before any work."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Device = Literal["cpu", "cuda"]
 
 @dataclass(frozen=True)
 class TrainingArgs:
-    """Flags of `train.segment` and `train.mission`."""
+    """Holds the flags that `train.segment` and `train.mission` share."""
 
     scene: str = "scenario_1"
     """Scene file, or the name of a bundled scene."""
@@ -56,13 +56,13 @@ class TrainingArgs:
 
 
 def check_least(args: object, **least: int) -> None:
-    """Refuse numbers that are too small.
+    """Refuses numbers that are too small.
 
     Args:
         least: the least value of each field of `args`.
 
     Raises:
-        RunError: naming flag, value and bound.
+        RunError: A number is too small; the message names flag, value and bound.
     """
     for field, bound in least.items():
         value = getattr(args, field)
@@ -72,7 +72,7 @@ def check_least(args: object, **least: int) -> None:
 
 
 def check_device(device: Device) -> None:
-    """Refuse a device that is not there.
+    """Refuses a device that is not there.
 
     Raises:
         RunError: torch sees no CUDA device.

@@ -1,4 +1,4 @@
-"""What every program does: parse, run, report mistakes, stop on Ctrl-C, show progress."""
+"""Does what every program does: parse, run, report mistakes, stop on Ctrl-C, show progress."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def run_program(
     argv: list[str] | None,
     defaults: Callable[[], T] | None = None,
 ) -> int:
-    """Parse the command line and run a program; the exit code of the contract.
+    """Parses the command line, runs a program and returns its exit code.
 
-    A user's mistake is one message and code 2, Ctrl-C is code 130, a full disk is code 1. The flags
-    change `defaults`, or those of the class.
+    A user's mistake is one message and code 2, Ctrl-C is code 130, a full disk is code 1.
+    The fields of `args_class` are the flags; they change `defaults`, or those of the class.
     """
     torch.set_num_threads(1)  # with two on a busy two-core machine, updates were 20 times slower
     try:
@@ -74,16 +74,16 @@ def run_program(
 
 
 def _again(args: object) -> str:
-    """How to start a program again that was stopped."""
+    """Says how to start a program again that was stopped."""
     return "go on with --resume" if hasattr(args, "resume") else "start again with --overwrite"
 
 
 def progress_bar(total: int, unit: str = "update") -> tqdm:
-    """A progress bar on stderr; in a log file one line every 10 s instead of a moving bar."""
+    """Returns a progress bar on stderr; in a log file it writes one line every 10 s."""
     moving = sys.stderr.isatty()
     return tqdm(total=total, unit=unit, mininterval=0.1 if moving else 10.0)
 
 
 def say(message: str) -> None:
-    """Print a line for the user, on stderr: stdout carries results."""
+    """Prints a line for the user on stderr, since stdout carries results."""
     print(message, file=sys.stderr, flush=True)

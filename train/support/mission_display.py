@@ -1,4 +1,4 @@
-"""One display for all segments of a mission: state, success rate, time against bound, time left."""
+"""Shows all segments of a mission while they are learned: state, success rate, time, time left."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ from rich.live import Live
 from rich.table import Table
 
 from mjcollect.scene.bounds import segment_bound
-from mjcollect.scene.order import legs, node_name
+from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
 from train.support.mission_report import read_metrics
 from train.support.run_folder import RunFolder
 
-REFRESH = 1.0  # seconds between looks at the segments' metrics
+COLUMNS = ("segment", "from", "to", "state", "updates", "success", "best", "bound")
 
 
 class MissionDisplay:
-    """A live table on a terminal, a line per finished segment in a log file.
+    """Shows a live table on a terminal, or in a log file a line for each training that ends.
 
     It reads the segments' metrics.csv, so it shows the same wherever they are trained.
     """
 
     def __init__(self, folder: Path, scene: Scene, order: tuple[int, ...], updates: int) -> None:
-        """Prepare the table; nothing is shown until entered."""
-        self._folder, self._updates = folder, updates
-        self._ways = [(frm, to, segment_bound(scene, frm, to)) for frm, to in legs(order)]
+        """Prepares the table of a run folder, whose segments make so many updates each."""
+        self._updates, self._ends = updates, tour_segments(order)
+        self._bounds = [segment_bound(scene, *ends) for ends in self._ends]
+        self._folders = [RunFolder(folder / "segments" / str(k)) for k in range(len(self._ends))]
         self._console = Console(stderr=True)
-        self._live = Live(console=self._console, refresh_per_second=2, transient=False)
-        self._shown, self._begun, self._at_start = 0.0, time.monotonic(), self._total()
+        # Reading all metrics takes a moment, hence once a second.
+        self._live = Live(console=self._console, get_renderable=self._table, refresh_per_second=1)
+        self._begun, self._at_start = time.monotonic(), self._total()
         self._moving = sys.stderr.isatty()
 
     def __enter__(self) -> MissionDisplay:
-        """Start showing."""
+        """Starts showing."""
         if self._moving:
             self._live.start()
         return self
@@ -48,30 +50,23 @@ class MissionDisplay:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Show the last state and stop."""
+        """Shows the last state and stops."""
         if self._moving:
-            self._live.update(self._table())
             self._live.stop()
 
-    def update(self) -> None:
-        """Look again, at most once a second."""
-        if self._moving and time.monotonic() - self._shown > REFRESH:
-            self._live.update(self._table())
-            self._shown = time.monotonic()
-
     def finished(self, index: int) -> None:
-        """Say that a training of segment `index` has ended."""
+        """Says that a training of segment `index` has ended."""
         if not self._moving:
             row = self._last(index)
             self._console.print(
                 f"segment {index}: trained, success rate {row.get('eval_success_rate', 0):.0%}, "
-                f"best {row.get('best_time', math.nan):.1f} s (bound {self._ways[index][2]:.1f} s)",
+                f"best {row.get('best_time', math.nan):.1f} s (bound {self._bounds[index]:.1f} s)",
                 highlight=False,
             )
 
     def _last(self, index: int) -> dict[str, float]:
-        """The last row of a segment's metrics; of a finished one with the kept policy's success."""
-        folder = RunFolder(self._folder / "segments" / str(index))
+        """Returns the last row of a segment's metrics; the kept policy's success at the end."""
+        folder = self._folders[index]
         rows = read_metrics(folder.path / "metrics.csv")
         last = rows[-1] if rows else {}
         if (result := folder.read_json("segment.json")) is not None:
@@ -79,7 +74,7 @@ class MissionDisplay:
         return last
 
     def _total(self) -> float:
-        return sum(self._last(index).get("update", 0.0) for index in range(len(self._ways)))
+        return sum(self._last(index).get("update", 0.0) for index in range(len(self._ends)))
 
     def _left(self) -> str:
         done = self._total()
@@ -87,30 +82,26 @@ class MissionDisplay:
         if gained <= 0:
             return "-"
         rate = gained / (time.monotonic() - self._begun)
-        seconds = max(len(self._ways) * self._updates - done, 0.0) / rate
+        seconds = max(len(self._ends) * self._updates - done, 0.0) / rate
         return f"{seconds / 60:.0f} min left" if seconds >= 60 else f"{seconds:.0f} s left"
 
     def _table(self) -> Table:
         table = Table(title=f"training, {self._left()}")
-        for column in ("segment", "from", "to", "state", "updates", "success", "best", "bound"):
+        for column in COLUMNS:
             table.add_column(column, justify="right" if column in ("best", "bound") else "left")
-        for index, (frm, to, bound) in enumerate(self._ways):
-            folder = self._folder / "segments" / str(index)
-            row = self._last(index)
-            state = "waiting"
-            if (folder / "segment.json").is_file():
-                state = "done"
-            elif (folder / "config.json").is_file():
-                state = "training"
+        for index, (start, end) in enumerate(self._ends):
+            folder, row = self._folders[index].path, self._last(index)
+            state = "training" if (folder / "config.json").is_file() else "waiting"
+            state = "done" if (folder / "segment.json").is_file() else state
             best = row.get("best_time", math.nan)
             table.add_row(
                 str(index),
-                node_name(frm),
-                node_name(to),
+                node_name(start),
+                node_name(end),
                 state,
                 f"{row.get('update', 0):.0f} / {self._updates}",
                 f"{row['eval_success_rate']:.0%}" if row else "-",
                 f"{best:.1f} s" if math.isfinite(best) else "-",
-                f"{bound:.1f} s",
+                f"{self._bounds[index]:.1f} s",
             )
         return table

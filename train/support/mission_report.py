@@ -1,4 +1,4 @@
-"""What a flown mission leaves behind: mission.json, plots, report."""
+"""Writes what a flown mission leaves behind: mission.json, plots, report."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from mjcollect.envs.recording import Flight
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
-from mjcollect.scene.order import legs, node_name
+from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, save_shield, shield_intervals
 from mjcollect.verify import verify
+from train.support.markdown import markdown_table
 from train.support.run_folder import RunFolder, versions
 
 TRAINED = ("success_rate", "train_seconds", "env_steps", "updates")
+COLUMNS = (
+    "segment", "from", "to", "time (s)", "bound (s)", "ratio", "detour (s)", "of detour", "shield",
+    "success rate", "training (s)", "updates",
+)  # fmt: skip
 
 
 def mission_result(
@@ -30,29 +35,28 @@ def mission_result(
     trained: Sequence[dict[str, Any] | None],
     seed: int,
 ) -> dict[str, Any]:
-    """The document of mission.json.
+    """Returns the document of mission.json.
 
-    Args:
-        trained: segment.json of each segment, None where nothing was trained.
+    `trained` holds the segment.json of each segment, None where nothing was trained.
     """
     scene = course.scene
     violations = [entry.to_dict() for entry in verify(scene, flight.trajectory, order)]
     success = flight.success and not violations
     bound, method = mission_bound(scene)
     segments, begun, shares = [], 0.0, flight.shield_shares
-    for index, (frm, to) in enumerate(legs(order)):
+    for index, (start, end) in enumerate(tour_segments(order)):
         reached = index < len(flight.arrivals)
-        taught = trained[index] or {}
+        training = trained[index] or {}
         segments.append(
             {
-                "from": frm,
-                "to": to,
+                "from": start,
+                "to": end,
                 "time": flight.arrivals[index] - begun if reached else None,
-                "lower_bound": segment_bound(scene, frm, to),
-                "detour_time": detour_bound(scene, frm, to, course.guidance[index].length),
+                "lower_bound": segment_bound(scene, start, end),
+                "detour_time": detour_bound(scene, start, end, course.guidance[index].length),
                 "success": reached and not any(v["segment"] == index for v in violations),
                 "shield_share": shares[index] if index < len(shares) else None,
-                **{key: taught.get(key) for key in TRAINED},
+                **{key: training.get(key) for key in TRAINED},
             }
         )
         begun = flight.arrivals[index] if reached else begun
@@ -81,26 +85,24 @@ def mission_result(
 def write_flight(
     folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight, *, plots: bool
 ) -> None:
-    """trajectory.csv, shield.csv and, if wanted, the plots of the flight."""
-    scene = course.scene
+    """Writes trajectory.csv, shield.csv and, if wanted, the plots of the flight."""
     write_record(folder, flight)
-    if not plots:
-        return
-    flown = (scene, flight.trajectory, order)
-    folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
-    folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
-    folder.write("speed.png", lambda part: plot_speed(part, *flown))
+    if plots:
+        flown = (course.scene, flight.trajectory, order)
+        folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
+        folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
+        folder.write("speed.png", lambda part: plot_speed(part, *flown))
 
 
 def write_record(folder: RunFolder, flight: Flight) -> None:
-    """trajectory.csv, and in shield.csv when the shield acted."""
+    """Writes trajectory.csv, and shield.csv, which says when the shield acted."""
     folder.write("trajectory.csv", flight.trajectory.save)
     when = shield_intervals(flight.shielded, flight.slot)
     folder.write(SHIELD_FILE, lambda part: save_shield(part, when))
 
 
 def write_learning(folder: RunFolder, segments: int) -> None:
-    """learning.png of all segments, from their metrics.csv."""
+    """Writes learning.png of all segments, from their metrics.csv."""
     columns: dict[str, list[float]] = {}
     for index in range(segments):
         for row in read_metrics(folder.path / "segments" / str(index) / "metrics.csv"):
@@ -111,7 +113,7 @@ def write_learning(folder: RunFolder, segments: int) -> None:
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
-    """Rows of a metrics.csv, NaN for empty cells; none if the file is not there."""
+    """Returns the rows of a metrics.csv, NaN for empty cells; none if there is no file."""
     if not path.is_file():
         return []
     with path.open(newline="", encoding="utf-8") as file:
@@ -124,8 +126,7 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 def report(
     folder: RunFolder, scene: Scene, result: dict[str, Any], plots: bool, notes: Sequence[str] = ()
 ) -> str:
-    """One page in Markdown: verdict, table of segments, and the pictures that the folder holds."""
-    video, learning = ((folder.path / name).is_file() for name in ("mission.mp4", "learning.png"))
+    """Returns a page in Markdown: verdict, table of segments, pictures that the folder holds."""
     lines = [f"# Mission in {scene.name}", ""]
     if result["success"]:
         lines.append(
@@ -149,43 +150,47 @@ def report(
         f"Order ({result['order_method']}): depot, {', '.join(map(str, result['order']))}, depot. "
         f"Seed {result['seed']}.",
         "",
-        "| segment | from | to | time (s) | bound (s) | ratio | detour (s) | of detour "
-        "| shield | success rate | training (s) | updates |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for index, entry in enumerate(result["segments"]):
-        lines.append(
-            f"| {index} | {node_name(entry['from'])} | {node_name(entry['to'])} "
-            f"| {_number(entry['time'], 1)} | {_number(entry['lower_bound'], 2)} "
-            f"| {_ratio(entry['time'], entry['lower_bound'])} "
-            f"| {_number(entry['detour_time'], 2)} "
-            f"| {_ratio(entry['time'], entry['detour_time'])} "
-            f"| {_percent(entry.get('shield_share'))} "
-            f"| {_number(entry['success_rate'], 2)} | {_number(entry['train_seconds'], 0)} "
-            f"| {_number(entry['updates'], 0)} |"
-        )
-    lines += [
+        *markdown_table(COLUMNS, [_cells(*each) for each in enumerate(result["segments"])]),
         "",
         "Success rate: share of starts all over the segment's start ball from which the policy "
         "arrives, in the evaluation that chose it. Bound: no flight can be shorter. Detour: "
         "estimate of the least time along the shortest free path. Shield: share of the slots in "
         "which the command left no way to stop without touching anything, and was bent.",
         "",
-        *(["[Video](mission.mp4)", ""] if video else []),
     ]
+    if (folder.path / "mission.mp4").is_file():
+        lines += ["[Video](mission.mp4)", ""]
     if plots:
         lines += [
             "![Flown path](path_3d.png)",
             "![Top view](path_top.png)",
             "![Speed and acceleration](speed.png)",
         ]
-    if learning:
+    if (folder.path / "learning.png").is_file():
         lines.append("![Learning curves](learning.png)")
     return "\n".join(lines) + "\n"
 
 
+def _cells(index: int, entry: dict[str, Any]) -> list[str]:
+    time = entry["time"]
+    return [
+        str(index),
+        node_name(entry["from"]),
+        node_name(entry["to"]),
+        _shown(time, ".1f"),
+        _shown(entry["lower_bound"], ".2f"),
+        _ratio(time, entry["lower_bound"]),
+        _shown(entry["detour_time"], ".2f"),
+        _ratio(time, entry["detour_time"]),
+        _shown(entry.get("shield_share"), ".1%"),
+        _shown(entry["success_rate"], ".2f"),
+        _shown(entry["train_seconds"], ".0f"),
+        _shown(entry["updates"], ".0f"),
+    ]
+
+
 def describe(violation: dict[str, Any]) -> str:
-    """A violation as a sentence."""
+    """Says in words what was violated, where, when and by how much."""
     where = "" if violation["segment"] is None else f" in segment {violation['segment']}"
     when = "" if violation["t"] is None else f" at {violation['t']:.2f} s"
     value = "" if violation["value"] is None else f": {violation['value']:.4g}"
@@ -194,7 +199,7 @@ def describe(violation: dict[str, Any]) -> str:
 
 
 def outcome(result: dict[str, Any], folder: Path) -> str:
-    """The result in one line, for the user."""
+    """Says the result in one line, for the user."""
     where = os.path.relpath(folder)
     if not result["success"]:
         return f"no success ({cause(result)}): {where}"
@@ -204,18 +209,14 @@ def outcome(result: dict[str, Any], folder: Path) -> str:
 
 
 def cause(result: dict[str, Any]) -> str:
-    """Why a mission is no success, in one sentence: what ended it rather than what it missed."""
+    """Says why a mission is no success: what ended it rather than what it missed."""
     causes = ("contact", "bounds", "speed", "acceleration", "timestep", "start")
     violations = sorted(result["violations"], key=lambda v: v["kind"] not in causes)
     return describe(violations[0]) if violations else "not finished"
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1%}"
+def _shown(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
 
 
 def _ratio(value: float | None, of: float) -> str:

@@ -1,4 +1,4 @@
-"""Fly a scene that no policy was trained on, and repair what fails.
+"""Flies a scene that no policy was trained on, and repairs what fails.
 
 The policy flies every segment. Where it fails, learning goes on from it for that segment alone, and
 the mission is flown again; a mission that fails all the same is flown by the reference planner.
@@ -17,16 +17,19 @@ from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.planners.reference.reference import NoFlight, Reference
 from mjcollect.verify import verify
 
-Train = Callable[[int], tuple[Policy, dict[str, Any]]]  # of a segment: a policy, segment.json
+# Trains in a segment, given by its number; returns the policy and segment.json.
+Train = Callable[[int], tuple[Policy, dict[str, Any]]]
 
 
 @dataclass
 class RepairedFlight:
-    """A flight and how it came about.
+    """Holds a flight and how it came about.
 
     Attributes:
-        flight: the last one. planner: who flew it. notes: a sentence for every repair.
-        trained: segment.json of the segments that were trained, else None.
+        flight: The last flight.
+        planner: Who flew it.
+        trained: For each segment, its segment.json if it was trained, else None.
+        notes: A sentence for every repair.
     """
 
     flight: Flight
@@ -38,11 +41,11 @@ class RepairedFlight:
 def fly_and_repair(
     course: Course, order: tuple[int, ...], policy: TrainedPolicy, train: Train | None, shield: bool
 ) -> RepairedFlight:
-    """Fly a mission by a policy, and repair what fails.
+    """Flies a mission by a policy, and repairs what fails.
 
     Args:
-        train: goes on learning from the policy in a segment, given by its number; None: nothing is
-            trained. shield: whether policies fly with it.
+        train: goes on learning from the policy in a segment; None: nothing is trained.
+        shield: whether policies fly with the shield.
     """
     policies: list[Policy] = [policy] * len(course.guidance)
     flight = fly(course, policies, policy.observation, shield=shield)
@@ -61,7 +64,7 @@ def fly_and_repair(
 
 
 def first_failure(course: Course, order: Sequence[int], flight: Flight) -> int | None:
-    """The first segment of a flight that failed; None where all succeeded."""
+    """Returns the first segment of a flight that failed; None where all succeeded."""
     found = [entry.segment for entry in verify(course.scene, flight.trajectory, order)]
     if flight.success and not found:
         return None
@@ -70,7 +73,7 @@ def first_failure(course: Course, order: Sequence[int], flight: Flight) -> int |
 
 
 def _by_reference(course: Course, repaired: RepairedFlight, failing: int) -> RepairedFlight:
-    """The reference's flight of the whole mission, or what there is if it finds none."""
+    """Returns the reference's flight of the whole mission, or what there is if it finds none."""
     try:
         reference = Reference(course)
         flight = record(course, lambda _, task: reference.action(task.episodes))

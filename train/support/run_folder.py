@@ -1,4 +1,4 @@
-"""Run folders: opened only when safe, written so that they are never half there, and resumable."""
+"""Opens run folders only when it is safe, writes them whole or not at all, and resumes them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,39 +32,33 @@ VERSIONED = (
     "numpy",
     "elkai",
 )
-# Everything a run writes; --overwrite removes these and nothing else.
+# A run writes all of these; --overwrite removes them and nothing else.
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
     "shield.csv", "segment.mp4", "mission.mp4", "path_3d.png", "path_top.png", "learning.png",
     "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
     "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
 )  # fmt: skip
-BEGINNING = ("scene.json", "command.txt", ".part-")  # what a folder holds before config.json
-SPACE = 1_000_000  # bytes; with less a run is not begun
+BEGINNING = ("scene.json", "command.txt", ".part-")  # A folder holds these before config.json.
+SPACE = 1_000_000  # A run is not begun with fewer free bytes.
 
 
 class RunError(Exception):
-    """The run cannot start as asked. The message names the field, the value and the fix."""
+    """Says that a run cannot start as asked; the message names field, value and fix."""
 
 
 def check_writable(folder: Path, flag: str) -> None:
-    """Refuse a folder, there or not yet, that cannot be written to, before any work.
+    """Refuses a folder, there or not yet, that cannot be written to, before any work.
 
     Raises:
-        RunError: naming the `flag` that named the folder.
+        RunError: It cannot; the message names the `flag` that named the folder.
     """
-    with _usable(folder, flag):
+    try:
         parent = folder
         while not parent.exists():
             parent = parent.parent
         with tempfile.TemporaryFile(dir=parent) as file:  # a full disk takes an empty file
             file.write(bytes(SPACE))
-
-
-@contextlib.contextmanager
-def _usable(folder: Path, flag: str) -> Iterator[None]:
-    try:
-        yield
     except OSError as error:
         raise RunError(
             f"{flag}: {folder}: cannot be used ({error.strerror}); choose another folder"
@@ -72,36 +66,32 @@ def _usable(folder: Path, flag: str) -> Iterator[None]:
 
 
 class RunFolder:
-    """One run's folder.
+    """Reads and writes one run's folder.
 
     Attributes:
-        path: the folder.
+        path: The folder.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Name a folder; nothing is touched yet."""
+        """Names a folder; nothing is touched yet."""
         self.path = Path(path)
         self._lock: int | None = None
 
     def check(self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool) -> None:
-        """Refuse an unusable folder before any work.
+        """Refuses an unusable folder before any work.
 
         Args:
             resume: whether to go on with what is there; None where the program cannot.
 
         Raises:
-            RunError: not a folder, not empty without --resume or --overwrite, not writable, or to
-                be resumed with other settings.
+            RunError: It is no folder, not empty without --resume or --overwrite, not writable, or
+                to be resumed with other settings.
         """
         if resume and overwrite:
             raise RunError("--resume and --overwrite exclude each other: give one of them")
-        with _usable(self.path, "--out"):
-            self._check_usable(config, resume, overwrite)
-        check_writable(self.path, "--out")
-
-    def _check_usable(self, config: dict[str, Any], resume: bool | None, overwrite: bool) -> None:
-        if self.path.exists() and not self.path.is_dir():
+        if os.path.exists(self.path) and not os.path.isdir(self.path):
             raise RunError(f"--out: {self.path}: is a file; name a folder")
+        check_writable(self.path, "--out")
         if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
             if not resume:
                 go_on = "" if resume is None else "--resume to go on with it, "
@@ -127,23 +117,20 @@ class RunFolder:
                 )
 
     def check_scene(self, scene: Scene, name: str) -> None:
-        """Refuse to resume with another scene than the folder's.
-
-        Args:
-            name: how the user gave the scene.
+        """Refuses to resume with another scene than the folder's; the user gave it as `name`.
 
         Raises:
-            RunError: they differ.
+            RunError: They differ.
         """
         saved = self.path / "scene.json"
         if saved.is_file() and Scene.load(saved) != scene:
             raise RunError(f"--resume: {saved} differs from {name}; give the run's own scene")
 
     def create(self, config: dict[str, Any], scene: Scene | None, *, overwrite: bool) -> None:
-        """Make the folder with config.json, command.txt and, if there is one, scene.json.
+        """Makes the folder with config.json, command.txt and, if there is one, scene.json.
 
         Raises:
-            RunError: the folder cannot be made.
+            RunError: The folder cannot be made, or another process writes to it.
         """
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -163,10 +150,10 @@ class RunFolder:
         self.write_json("config.json", config)
 
     def lock(self) -> None:
-        """Keep other processes from writing here until `unlock` or the end of this one.
+        """Keeps other processes from writing here until `unlock` or the end of this one.
 
         Raises:
-            RunError: another process writes here.
+            RunError: Another process writes here.
         """
         self._lock = os.open(self.path, os.O_RDONLY)
         try:
@@ -178,13 +165,13 @@ class RunFolder:
             ) from None
 
     def unlock(self) -> None:
-        """Let other processes write here."""
+        """Lets other processes write here."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
     def write(self, name: str, save: Callable[[Path], object]) -> None:
-        """Write a file through a temporary one and a rename: it is whole or not there."""
+        """Writes a file through a temporary one and a rename: it is whole or not there."""
         target = self.path / name
         # Same ending as the target: some writers choose the format by it.
         part = target.with_name(f".part-{target.name}")
@@ -195,20 +182,20 @@ class RunFolder:
             part.unlink(missing_ok=True)
 
     def write_text(self, name: str, text: str) -> None:
-        """Write text; see `write`."""
+        """Writes a text file, whole or not at all."""
         self.write(name, lambda part: part.write_text(text, encoding="utf-8"))
 
     def write_json(self, name: str, document: dict[str, Any]) -> None:
-        """Write JSON; see `write`."""
+        """Writes a JSON file, whole or not at all."""
         self.write_text(name, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
     def read_json(self, name: str) -> dict[str, Any] | None:
-        """Read JSON; None if it is not there."""
+        """Returns what a JSON file holds; None if it is not there."""
         path = self.path / name
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
     def write_metrics(self, rows: Sequence[dict[str, float]]) -> None:
-        """Write metrics.csv, one row per evaluation; empty cells where there is no value."""
+        """Writes metrics.csv, one row per evaluation; empty cells where a value is NaN."""
 
         def save(part: Path) -> None:
             with part.open("w", newline="", encoding="utf-8") as file:
@@ -220,10 +207,8 @@ class RunFolder:
         if rows:
             self.write("metrics.csv", save)
 
-    # Checkpoints
-
     def save_checkpoint(self, **components: Any) -> None:
-        """Write checkpoint/ beside the old one, then swap: one of them is always whole."""
+        """Writes checkpoint/ beside the old one, then swaps: one of them is always whole."""
         new, old = self.path / ".part-checkpoint", self.path / "checkpoint.old"
         current = self.path / "checkpoint"
         for stale in self.path.glob(".*part-checkpoint*"):  # TorchRL's own staging folder too
@@ -239,7 +224,7 @@ class RunFolder:
         shutil.rmtree(old, ignore_errors=True)
 
     def load_checkpoint(self, **components: Any) -> bool:
-        """Restore the components from the last whole checkpoint; False if there is none."""
+        """Restores the components from the last whole checkpoint; False if there is none."""
         for name in ("checkpoint", "checkpoint.old"):
             if (self.path / name).is_dir():
                 Checkpoint(**components).load(self.path / name)
@@ -248,12 +233,12 @@ class RunFolder:
 
 
 def default_folder(kind: str, *parts: str) -> Path:
-    """`runs/<kind>/<parts joined by dashes>`."""
+    """Returns `runs/<kind>/<parts joined by dashes>`, where a run goes without --out."""
     return Path("runs") / kind / "-".join(parts)
 
 
 def versions() -> dict[str, str]:
-    """Versions of what a result depends on."""
+    """Returns the versions of the packages that a result depends on."""
     found = {"python": sys.version.split()[0]}
     for package in VERSIONED:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

@@ -1,4 +1,4 @@
-"""The policy that learning goes on from, as a flag names it."""
+"""Reads the policy that learning goes on from, or that flies, as the flag --policy names it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from train.support.run_folder import RunError
 
 
 def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
-    """The policy in a file, or `SHIPPED`, and the settings with which learning goes on from it.
+    """Returns the policy in a file, or `SHIPPED`, and settings with which to learn on from it.
 
     Its observation and width are taken over. Unless `learn` asks for something else than usual, no
     update is made where it is good enough.
 
     Raises:
-        RunError: there is no such policy, or `learn` asks for another observation or width.
+        RunError: There is no such policy, or `learn` asks for another observation or width.
     """
     try:
         policy = TrainedPolicy.load(weights_file(path))
@@ -46,10 +46,10 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
 
 
 def check_size(policy: TrainedPolicy, course: Course) -> None:
-    """Refuse a policy that takes another number of inputs than its observation has here.
+    """Refuses a policy that takes another number of inputs than its observation has here.
 
     Raises:
-        RunError: it does.
+        RunError: It does.
     """
     simulations = Simulations([course], 1, rules=Rules(policy.observation), threads=1)
     size, takes = simulations.observe().shape[1], policy.inputs

@@ -1,4 +1,4 @@
-"""Learning to the end of a budget: progress bar, metrics, checkpoints, Ctrl-C."""
+"""Learns to the end of a budget, with progress bar, metrics, checkpoints and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ def learn_to_the_end(
     checkpoint_every: int,
     after_round: Callable[[], None] = lambda: None,
 ) -> bool:
-    """Train to the end; False if Ctrl-C stopped it, after a checkpoint.
+    """Trains to the end; returns False if Ctrl-C stopped it, after a checkpoint.
 
     Args:
-        parts: what a checkpoint holds, by name. describe: the last evaluation, for the bar.
-        resume: go on from the folder's checkpoint, if there is one. checkpoint_every: updates.
+        parts: what a checkpoint holds, by name.
+        describe: returns what the bar says of the last evaluation, a row of metrics.csv.
+        resume: whether to go on from the folder's checkpoint, if there is one.
+        checkpoint_every: updates between checkpoints.
         after_round: called after each round of updates, before a checkpoint.
     """
     if resume and folder.load_checkpoint(**parts):

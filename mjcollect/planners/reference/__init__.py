@@ -1,4 +1,4 @@
-"""The reference planner: the whole mission ahead, in the fewest slots."""
+"""Holds the reference planner, which plans the whole mission ahead in the fewest slots."""
 
 from mjcollect.planners.reference.reference import NoFlight, Reference
 

@@ -1,8 +1,8 @@
-"""Other ways of a leg: past another side of a box than the way at hand.
+"""Proposes other ways to fly a segment, past another side of a box than the present way.
 
 A planner that improves a path by small steps never takes it to the other side of a box, and the
-shortest way is not the fastest where it turns sharply. These are first guesses, by way of a point
-beside a box; they may lead through other boxes.
+shortest way is not the fastest where it turns sharply. The proposals are first guesses that lead
+through a point beside a box; they may cross other boxes.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length
 from mjcollect.scene.scene import Scene
 
-BESIDE = 1.0  # metres from the body to the box at the point beside it
-AT = 2.0  # metres from a box within which a corner of the way is one of that box
-LONGER = 1.1  # times a length: detours that are longer are not worth a try
-MOST = 24  # detours
+BESIDE = 1.0  # The body keeps this clearance to the box at the point beside it (m).
+AT = 2.0  # A corner of the way belongs to a box within this clearance of the body (m).
+LONGER = 1.1  # A detour of more than this many times the present length is not worth a try.
+MOST = 24  # At most this many detours are proposed.
 
 
 def detours(scene: Scene, way: Array, length: float) -> list[Array]:
-    """Polylines (P, 3) with the ends of `way` (P, 3), the shortest first.
+    """Returns polylines (P, 3) in m between the ends of `way`, the shortest first.
 
     Args:
-        way: tight. length: in metres, which a detour must beat.
+        way: (P, 3) present way, tightened (m). length: what a detour must come near to or beat (m).
     """
     begin, end, corners = way[0], way[-1], way[1:-1]
     boxes = scene.obstacles
@@ -45,7 +45,7 @@ def detours(scene: Scene, way: Array, length: float) -> list[Array]:
 
 
 def _beside(scene: Scene, begin: Array, end: Array, box: Array) -> list[Array]:
-    """Points (3,) beside each face of a box, where the line from begin to end passes it."""
+    """Returns points (3,) beside each face of a box, where the line from begin to end passes it."""
     step = end - begin
     share = (box.mean(axis=0) - begin) @ step / max(float(step @ step), 1e-12)
     nearest = np.clip(begin + np.clip(share, 0.0, 1.0) * step, box[0], box[1])

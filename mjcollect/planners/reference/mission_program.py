@@ -1,8 +1,8 @@
-"""The cone program of a whole mission: all legs at once, each with its number of slots given.
+"""Finds the motion of a whole mission by one cone program, given each segment's number of slots.
 
-Where a leg stops in its ball is the start of the next, so only all legs together tell whether
-their slots are enough. The program finds the motion whose stops miss their balls least; if none
-does, the mission can be flown in these slots.
+The next segment starts where the last one stops in its ball, so only all segments together tell
+whether their slots are enough. The program finds the motion whose stops miss their balls least; if
+no stop misses its ball, the mission can be flown in these slots.
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ from mjcollect.planners.cone_solver import Rows, settings, within
 from mjcollect.planners.slot_program import ELASTIC_COST, PROXIMITY_COST, Program
 from mjcollect.scene.scene import Scene
 
-GAP = 1e-6  # absolute and relative, at which a solution is good enough
-LATE = 1e-3  # share beyond a_max slot: a speed from which one slot surely cannot stop
+DUALITY_GAP = 1e-6  # The solver stops at this duality gap, absolute and relative.
+LATE = 1e-3  # One slot surely cannot stop a speed that exceeds a_max slot by this share.
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A mission's motion.
+    """Holds the motion of a mission of L segments and N slots.
 
     Attributes:
-        legs: positions (M + 1, 3) m at each leg's slot starts, both stops included.
-        v: (N + 1, 3) m/s at all slot starts.
-        misses: (L,) m by which stops lie outside their balls.
-        slack: metres by which it comes nearer to boxes than is comfortable, at most.
+        segments: positions (M + 1, 3) in m at each segment's slot starts, both stops included.
+        v: (N + 1, 3) velocities in m/s at all slot starts.
+        misses: (L,) distances by which stops lie outside their balls (m).
+        slack: the most by which a slot's clearance falls short of the comfortable one (m).
     """
 
-    legs: list[Array]
+    segments: list[Array]
     v: Array
     misses: Array
     slack: float
 
 
 class TourProgram(Program):
-    """Motion of a mission whose legs have whole numbers of slots, near paths that are given."""
+    """Finds the best motion of a mission near given paths, with given numbers of slots."""
 
     def __init__(self, scene: Scene, balls: Sequence[tuple[Array, float]]) -> None:
-        """Programs for missions that stop in `balls` in turn: centre (3,) and radius in m."""
+        """Prepares programs for missions that stop in `balls` in turn: centre (3,), radius (m)."""
         super().__init__(scene)
-        # Long legs at walls are badly conditioned: what fails is tried again with other settings.
+        # Long segments at walls are badly conditioned, so failures are retried with other settings.
         self._ways = [settings() for _ in range(3)]
         for way in self._ways:
-            way.tol_gap_abs = way.tol_gap_rel = GAP
+            way.tol_gap_abs = way.tol_gap_rel = DUALITY_GAP
         _, refined, plain = self._ways
         refined.iterative_refinement_max_iter = 50
         refined.iterative_refinement_reltol = refined.iterative_refinement_abstol = 1e-14
@@ -57,15 +57,15 @@ class TourProgram(Program):
         self._balls = balls
 
     def best(self, paths: Sequence[Array], elastic: bool) -> Motion | None:
-        """The motion near `paths` that misses its balls least; None without a solution.
+        """Returns the motion near `paths` that misses its balls least, or None without a solution.
 
         Args:
-            paths: positions (M + 1, 3) at each leg's slot starts; each begins where the last ends.
-            elastic: boxes may be overlapped, at a price: for paths that are only a first guess.
+            paths: positions (M + 1, 3) in m at each segment's slot starts, end to end.
+            elastic: whether boxes may be overlapped at a cost, for paths that are a first guess.
         """
-        path = np.concatenate([paths[0][:1], *(leg[1:] for leg in paths)])
+        path = np.concatenate([paths[0][:1], *(segment[1:] for segment in paths)])
         count, start = len(path) - 1, path[0]
-        ends = np.cumsum([len(leg) - 1 for leg in paths])
+        ends = np.cumsum([len(segment) - 1 for segment in paths])
         at_v = np.arange(3 * (count + 1)).reshape(-1, 3)
         at_q, at_slack = at_v + at_v.size, 2 * at_v.size + np.arange(count)
         at_miss = 2 * at_v.size + count + np.arange(len(ends))
@@ -93,7 +93,10 @@ class TourProgram(Program):
             return None
         q = start + z[at_q]
         return Motion(
-            legs=[q[end - len(leg) + 1 : end + 1] for leg, end in zip(paths, ends, strict=True)],
+            segments=[
+                q[end - len(segment) + 1 : end + 1]
+                for segment, end in zip(paths, ends, strict=True)
+            ],
             v=z[at_v],
             misses=z[at_miss],
             slack=float(z[at_slack].max()),
@@ -114,12 +117,12 @@ class TourProgram(Program):
     def _stop_late(
         self, rows: Rows, at_v: NDArray[np.intp], paths: Sequence[Array], ends: NDArray[np.intp]
     ) -> None:
-        """Two slots before a stop, too fast for the rule of collection to stop the body there."""
+        """Keeps the body too fast, two slots before a stop, for collection to stop it there."""
         fast = self.scene.a_max * self.scene.slot * (1 + LATE)
-        for leg, end in zip(paths, ends, strict=True):
-            if len(leg) < 4:
+        for segment, end in zip(paths, ends, strict=True):
+            if len(segment) < 4:
                 continue
-            step = leg[-1] - leg[-3]
+            step = segment[-1] - segment[-3]
             size = float(np.linalg.norm(step))
             if size > 1e-6:
                 rows.add(np.array([-fast]), (at_v[end - 2][None], -(step / size)[None]))

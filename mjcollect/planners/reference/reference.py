@@ -1,11 +1,11 @@
-"""The reference: a mission in the fewest slots that can be found, with the whole scene known.
+"""Plans a mission in the fewest slots that it can find, with the whole scene known.
 
-It shows how far everyone else is from the limit. Three parts work together: an MPC's flight, or
-the shortest way, says round which side of the boxes each leg goes and `routes` what that costs; a
-small model of all legs (`allotment`) says how many slots each needs, with every stop anywhere in
-its ball; and a cone program of the whole mission at once (`tour_program`) finds the motion in these
-slots, solved anew round its last solution as the planes between path and boxes turn. Where that
-finds nothing better than the MPC's flight, that is what is flown.
+It shows how far other pilots are from the limit. Three parts work together: an MPC's flight, or
+the shortest way, decides on which side of the boxes each segment passes, and `routes` what that
+costs; a small model of all segments (`slot_allotment`) decides how many slots each needs, with
+every stop anywhere in its ball; and a cone program of the whole mission (`mission_program`) finds
+the motion in these slots, solved anew round its last solution as the planes between path and boxes
+turn. Where that finds nothing better than the MPC's flight, the MPC's flight is the plan.
 """
 
 from __future__ import annotations
@@ -27,34 +27,35 @@ from mjcollect.planners.reference.routes import PricedPath, explore, fitted, gue
 from mjcollect.planners.reference.slot_allotment import Allotments, Slots, least_slots, reach
 from mjcollect.planners.slot_program import COMFORT
 
-PASSES = 4  # of looking for fewer slots along the ways of the last success
-HOPE = -1.0  # metres of margin down to which an allotment is tried
-TURNS = 2  # of looking for other ways past the boxes
-NOTED = 0.1  # metres by which another way must be shorter
-TRIED = 3  # allotments of each total
-SOFT_ROUNDS = 6  # of solving anew while boxes are overlapped
-ROUNDS = 10  # of solving anew in all
-GAIN = 0.02  # share of the miss that a round must take away, else there is no hope
-SPARE = (1.2, 1.5, 2.0, 3.0)  # lengths of a way in place of one, where there is no flight yet
-HIT = INSIDE / 2  # metres by which stops may miss their balls, which are smaller by INSIDE
+PASSES = 4  # Fewer slots are looked for at most this often, along the ways of the last success.
+HOPE = -1.0  # An allotment is tried if its margin is at least this (m).
+TURNS = 2  # Other ways past the boxes are looked for at most this often.
+NOTED = 0.1  # Another way replaces the present one if it is shorter by more than this (m).
+TRIED = 3  # At most this many allotments with the same total of slots are tried.
+SOFT_ROUNDS = 6  # A program is solved anew at most this often while boxes are overlapped.
+ROUNDS = 10  # A program is solved at most this often in all.
+GAIN = 0.02  # A round must shrink the total miss by at least this share, else the attempt ends.
+# Where there is no flight yet, slots are allotted as for ways that are longer by these factors.
+DETOUR_FACTORS = (1.2, 1.5, 2.0, 3.0)
+HIT = INSIDE / 2  # A stop may miss its ball, whose radius is reduced by INSIDE, by this much (m).
 
 
 class NoFlight(ValueError):
-    """No flight of the course was found."""
+    """Says that no flight of the course was found."""
 
 
 class Reference:
-    """Plans a course once; then the commands are flown as they are.
+    """Plans a course once, then flies the commands as they are.
 
         commands = Reference(course).plan()  # (N, 3) m/s^2, one for each slot
 
     Attributes:
-        counts: allotments `tried`; motions `refused` by the rules of flight.
-        mpc_slots: slots of the MPC's flight; None if it did not arrive.
+        counts: allotments `tried`, and motions `refused` by the rules of flight.
+        mpc_slots: number of slots of the MPC's flight, None if it did not arrive.
     """
 
     def __init__(self, course: Course, tell: Callable[[str], None] | None = None) -> None:
-        """Prepare for `course`; `tell` gets lines on how the planning goes."""
+        """Prepares to plan `course`; `tell` receives lines on the progress."""
         self._course, self._scene = course, course.scene
         self._tell = tell or (lambda _: None)
         balls = [
@@ -69,11 +70,11 @@ class Reference:
 
     @property
     def statuses(self) -> Counter[str]:
-        """How often the solver ended in which status, the MPC's solves apart."""
+        """Returns how often the solver ended in each status, without the MPC's solves."""
         return self._program.statuses + self._solver
 
     def summary(self) -> str:
-        """How the plan was made, in a sentence."""
+        """Returns a sentence that says how the plan was made."""
         slots = len(self.plan())
         if self.mpc_slots is None:
             against = "the MPC does not arrive"
@@ -89,20 +90,20 @@ class Reference:
         )
 
     def action(self, episodes: Episodes) -> Array:
-        """Action (3,) in units of a_max for the only episode of `episodes`, from its start on.
+        """Returns the action (3,) in units of a_max for the one episode, from its start on.
 
         Raises:
-            NoFlight: see `plan`.
+            NoFlight: neither the MPC nor this planner finds a flight.
         """
         commands, slot = self.plan(), int(episodes.steps[0])
-        if slot >= len(commands):  # not flown from the course's start
+        if slot >= len(commands):  # The episode did not begin at the course's start.
             return np.asarray(episodes.guidance_action()[0])
         return np.asarray(commands[slot] / self._scene.a_max)
 
     def plan(self) -> Array:
-        """Commands (N, 3) in m/s^2, each for a slot, from rest exactly at the course's start.
+        """Returns commands (N, 3) in m/s^2, one per slot, from rest exactly at the course's start.
 
-        Plans when first called. Deterministic.
+        The first call plans, deterministically; later ones return the same commands.
 
         Raises:
             NoFlight: neither the MPC nor this planner finds a flight.
@@ -127,12 +128,12 @@ class Reference:
         return best
 
     def _from_ways(self) -> Rehearsal:
-        """A flight along the shortest ways, in more slots than are needed."""
+        """Returns a flight along the shortest ways, in more slots than are needed."""
         guides = self._course.guidance
-        for spare in SPARE:
+        for factor in DETOUR_FACTORS:
             paths = []
             for guide in guides:
-                slots = max(least_slots(self._scene, spare * path_length(guide.path)), 2)
+                slots = max(least_slots(self._scene, factor * path_length(guide.path)), 2)
                 paths.append(guess(guide.path, self._scene, slots))
             flight = self._attempt(paths)
             if flight is not None:
@@ -143,7 +144,7 @@ class Reference:
         )
 
     def _fewer(self, flight: Rehearsal, widely: bool) -> Rehearsal | None:
-        """A flight in fewer slots along the best ways known; None if none is found."""
+        """Returns a flight in fewer slots along the best ways known, or None."""
         ways = self._ways(flight, widely)
         start = self._scene.point(self._course.nodes[0])
         routes = [way.route for way in ways]
@@ -169,12 +170,12 @@ class Reference:
         return better
 
     def _ways(self, flight: Rehearsal, widely: bool) -> list[PricedPath]:
-        """The shortest way found for each leg: as flown or, `widely`, elsewhere past boxes."""
+        """Returns the shortest way of each segment: as flown or, if `widely`, past other sides."""
         ways = []
-        for k, (path, guide) in enumerate(zip(flight.legs, self._course.guidance, strict=True)):
+        for k, (path, guide) in enumerate(zip(flight.segments, self._course.guidance, strict=True)):
             best = explore(self._scene, path, self._solver)
             if widely and len(best.route.corners):
-                self._tell(f"reference: leg {k} turns round boxes; trying other ways")
+                self._tell(f"reference: segment {k} turns round boxes; trying other ways")
                 guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
                 best = self._shortest(best, [guided, path[[0, -1]]], len(path) - 1)
                 best = self._past_others(best, path)
@@ -182,9 +183,9 @@ class Reference:
         return ways
 
     def _past_others(self, best: PricedPath, path: Array) -> PricedPath:
-        """A shorter way past other sides of the boxes than those of the leg `path` (M + 1, 3)."""
+        """Returns a way past other sides of the boxes than `path` (M + 1, 3), or else `best`."""
         scene = self._scene
-        worth = scene.v_max * scene.slot / 2  # metres, half a slot
+        worth = scene.v_max * scene.slot / 2  # The least gain worth a search: half a slot (m).
         straight = float(np.linalg.norm(path[-1] - path[0]))
         for _ in range(TURNS):
             length = min(best.length, reach(scene, len(path) - 1))
@@ -199,7 +200,7 @@ class Reference:
         return best
 
     def _shortest(self, best: PricedPath, others: Sequence[Array], slots: int) -> PricedPath:
-        """The shortest of a way and those along other polylines (P, 3), first tried in `slots`."""
+        """Returns the shortest of `best` and ways along other polylines, first tried in `slots`."""
         for other in others:
             found = explore(self._scene, guess(other, self._scene, slots), self._solver)
             if found.length < best.length - NOTED:
@@ -207,7 +208,7 @@ class Reference:
         return best
 
     def _attempt(self, paths: Sequence[Array]) -> Rehearsal | None:
-        """A flight near `paths`, in as many slots; None if none is found."""
+        """Returns a flight near `paths` in as many slots, or None."""
         self.counts["tried"] += 1
         self._tell(f"reference: trying {sum(len(path) - 1 for path in paths)} slots")
         elastic, last = True, np.inf
@@ -215,7 +216,7 @@ class Reference:
             motion = self._program.best(paths, elastic)
             if motion is None:
                 return None
-            paths, miss = motion.legs, float(motion.misses.sum())
+            paths, miss = motion.segments, float(motion.misses.sum())
             if elastic:
                 elastic = motion.slack > COMFORT
                 if elastic and number >= SOFT_ROUNDS:
@@ -232,7 +233,7 @@ class Reference:
         return None
 
     def _flown(self, motion: Motion) -> Rehearsal | None:
-        """The motion as the rules of flight let it be flown, if it arrives as planned."""
+        """Returns the motion as the rules of flight let it be flown, if it arrives as planned."""
         actions = np.diff(motion.v, axis=0) / (self._scene.slot * self._scene.a_max)
 
         def pilot(episodes: Episodes) -> Array:

@@ -1,4 +1,4 @@
-"""A flight by the rules of flight without a simulator: what a planner's commands would lead to."""
+"""Flies a course by the rules of flight without MuJoCo, to see where a planner's commands lead."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Pilot = Callable[[Episodes], Array]
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """A finished course.
+    """Holds the flight of a finished course.
 
     Attributes:
-        commands: (N, 3) m/s^2, as the rules let them be flown.
-        q: (N + 1, 3) m at slot starts. ends: slots at whose starts targets were reached.
+        commands: (N, 3) accelerations in m/s^2, as the rules of flight let them be flown.
+        q: (N + 1, 3) positions in m at slot starts. ends: number of slots flown at each arrival.
     """
 
     commands: Array
@@ -30,22 +30,22 @@ class Rehearsal:
 
     @property
     def slots(self) -> tuple[int, ...]:
-        """Of each leg."""
+        """Returns the number of slots of each segment."""
         return tuple(int(slots) for slots in np.diff([0, *self.ends]))
 
     @property
-    def legs(self) -> list[Array]:
-        """Positions (M + 1, 3) of each leg, both stops included."""
+    def segments(self) -> list[Array]:
+        """Returns the positions (M + 1, 3) in m of each segment, both stops included."""
         return [
             self.q[end - slots : end + 1] for end, slots in zip(self.ends, self.slots, strict=True)
         ]
 
 
 def rehearse(course: Course, pilot: Pilot) -> Rehearsal | None:
-    """Fly `course` from rest exactly at its start; None if that fails.
+    """Flies `course` from rest exactly at its start; returns None if it is not finished.
 
     Args:
-        pilot: the episode as it stands -> action (3,) in units of a_max.
+        pilot: maps the episode to an action (3,) in units of a_max.
     """
     episodes = Episodes([course], 1, Rules(shield=False))
     episodes.reset(np.array([0]), course.scene.point(course.nodes[0])[None], np.zeros((1, 3)))

@@ -1,8 +1,8 @@
-"""What a leg's way costs: its tight shape, and by how much turns take more than its length.
+"""Finds what a segment's way costs: its tight shape, and the extra length that its turns cost.
 
-Beside a box a body at v_max turns on a circle of v_max^2 / a_max, so a way round corners takes
-longer than its length. By how much is found by flying it: with a slot too few, the best motion
-stops short of the end, and by more than the length alone explains.
+Beside a box a body at v_max turns on a circle of radius v_max^2 / a_max, so a way round corners
+takes longer than its length says. How much longer is found by planning it: with one slot too few,
+the best motion stops short of the end, by more than the length alone explains.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from mjcollect.planners.reference.slot_allotment import Route, reach
 from mjcollect.planners.slot_program import COMFORT
 from mjcollect.scene.scene import Scene
 
-SOFT_ROUNDS = 8  # of solving anew while boxes are overlapped
-ROUNDS = 6  # and then
-SETTLED = 1e-2  # metres by which a round must come nearer, else it is the last
-NEAR = 0.5  # metres from a leg's end at which it is reached
-REACHED = 1e-2  # metres beyond that, for the solver's tolerance
-SHAPE = 0.1  # metres beyond the body's radius that the tight shape keeps from boxes
+SOFT_ROUNDS = 8  # A program is solved anew at most this often while boxes are overlapped.
+ROUNDS = 6  # This many further rounds may follow.
+SETTLED = 1e-2  # A round that comes nearer to the end by less than this is the last (m).
+NEAR = 0.5  # A segment's end is reached within this distance (m).
+REACHED = 1e-2  # The solver's tolerance may add this to it (m).
+SHAPE = 0.1  # The tight shape keeps this margin to boxes beyond the body's radius (m).
 
 
 @dataclass(frozen=True)
 class PricedPath:
-    """A leg's way between two stops.
+    """Holds a segment's way between two stops and what it costs.
 
     Attributes:
-        route: how its length depends on the stops. path: (M + 1, 3) a motion along it, in about as
-            many slots as it takes. length: metres between these stops, the toll included.
+        route: how its length depends on the stops. path: (M + 1, 3) positions (m) of a motion along
+            it, in about as many slots as it takes. length: between these stops, with the toll (m).
     """
 
     route: Route
@@ -43,20 +43,20 @@ class PricedPath:
 
 
 def resample(path: Array, slots: int) -> Array:
-    """Positions (slots + 1, 3) of the motion `path` (M + 1, 3) flown in another number of slots."""
+    """Returns positions (slots + 1, 3) of the motion `path` (M + 1, 3) in another slot count."""
     at = np.linspace(0.0, len(path) - 1.0, slots + 1)
     return interpolate(path, np.arange(0.0, len(path)), at)
 
 
 def fitted(path: Array, slots: int, begin: Array, end: Array) -> Array:
-    """The same, shifted so as to begin and end at the points (3,)."""
+    """Returns the same, shifted so that it begins and ends at the given points (3,)."""
     path = resample(path, slots)
     share = np.linspace(0.0, 1.0, slots + 1)[:, None]
     return np.asarray(path + (1 - share) * (begin - path[0]) + share * (end - path[-1]))
 
 
 def guess(way: Array, scene: Scene, slots: int) -> Array:
-    """Positions (slots + 1, 3) of a motion from rest to rest along a polyline (P, 3)."""
+    """Returns positions (slots + 1, 3) of a motion from rest to rest along a polyline (P, 3)."""
     k = np.arange(slots + 1)
     ramp = scene.a_max * scene.slot * np.minimum(k, slots - k)
     covered = np.cumsum(np.minimum(ramp, scene.v_max))
@@ -64,10 +64,11 @@ def guess(way: Array, scene: Scene, slots: int) -> Array:
 
 
 def explore(scene: Scene, path: Array, statuses: Counter[str]) -> PricedPath:
-    """The way that grows out of a motion `path` (M + 1, 3); counts the solver's statuses.
+    """Returns the way that a motion becomes when it is improved; infinitely long if none is found.
 
-    The path may be a first guess, through boxes perhaps. Of a way along which no motion is found,
-    the length is infinite.
+    Args:
+        path: (M + 1, 3) positions (m), perhaps a first guess that crosses boxes.
+        statuses: counts of the solver's statuses, to which those of this call are added.
     """
     begin, end, short = path[0], path[-1], 0.0
     flown: Array | None = None
@@ -92,13 +93,13 @@ def explore(scene: Scene, path: Array, statuses: Counter[str]) -> PricedPath:
 
 
 def _reach_out(program: TourProgram, path: Array) -> tuple[Array | None, float]:
-    """Positions of the motion near `path`, in as many slots, that misses the ball least; m."""
+    """Returns the motion (M + 1, 3) near `path` that misses the ball least, and the miss (m)."""
     elastic, found, best = True, None, np.inf
     for number in range(SOFT_ROUNDS + ROUNDS):
         motion = program.best([path], elastic)
         if motion is None:
             break
-        path, short = motion.legs[0], float(motion.misses[0])
+        path, short = motion.segments[0], float(motion.misses[0])
         if elastic:
             elastic = motion.slack > COMFORT
             if elastic and number >= SOFT_ROUNDS:

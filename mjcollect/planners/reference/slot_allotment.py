@@ -1,9 +1,10 @@
-"""How many slots each leg of a mission gets, by a small model of all legs: a millisecond an answer.
+"""Decides how many slots each segment of a mission gets, by a small model of all segments.
 
-A leg flown in M whole slots covers at most `reach(M)` metres. Its way leads from stop to stop
-round fixed corners, so its length is a convex function of the two stops. A number of slots for
-each leg is enough if stops can be found in their balls for which no way is longer than its slots
-reach; the metres to spare on every leg at once are the allotment's margin.
+A segment flown in M whole slots covers at most `reach(M)` metres. Its way leads from stop to stop
+round fixed corners, so its length is a convex function of the two stops. An allotment, which is a
+number of slots for each segment, is enough if there are stops in their balls for which no way is
+longer than its slots reach; the length left over on every segment at once is the allotment's
+margin. Each answer is one cone program of about a millisecond.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ Slots = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Route:
-    """How a leg's length depends on its stops.
+    """Holds how a segment's length depends on its stops.
 
     Attributes:
-        corners: (P, 3) points between its stops, fixed; P may be 0.
-        toll: metres that turning costs beyond the way's length.
+        corners: (P, 3) fixed points between its stops (m); P may be 0.
+        toll: extra length that stands for the cost of turning (m).
     """
 
     corners: Array
@@ -37,15 +38,15 @@ class Route:
 
     @property
     def fixed(self) -> float:
-        """Metres between the first corner and the last, and the toll."""
+        """Returns the length from the first corner to the last plus the toll (m)."""
         return float(np.linalg.norm(np.diff(self.corners, axis=0), axis=1).sum()) + self.toll
 
 
 def reach(scene: Scene, slots: int) -> float:
-    """Metres covered on a line from rest to rest in whole slots, at most.
+    """Returns the greatest distance (m) on a line from rest to rest in a number of slots.
 
-    The velocity at slot starts is the least of ramp up, v_max and ramp down; at rest at both ends,
-    the semi-implicit steps of a slot add up to its mean.
+    The velocity at slot starts is the least of ramp up, v_max and ramp down. From rest to rest,
+    semi-implicit steps cover the sum of these velocities times the slot.
     """
     k = np.arange(slots + 1)
     ramp = scene.a_max * scene.slot * np.minimum(k, slots - k)
@@ -53,7 +54,7 @@ def reach(scene: Scene, slots: int) -> float:
 
 
 def least_slots(scene: Scene, distance: float) -> int:
-    """Least whole slots from rest to rest over a straight distance in m; at least one."""
+    """Returns the least number of slots, at least 1, from rest to rest over a distance (m)."""
     slots = 1
     while reach(scene, slots) < distance:
         slots += max(1, int((distance - reach(scene, slots)) / (scene.v_max * scene.slot)))
@@ -61,7 +62,7 @@ def least_slots(scene: Scene, distance: float) -> int:
 
 
 class Allotments:
-    """Margins of allotments for the legs of one mission."""
+    """Computes and remembers the margins of allotments for the L segments of one mission."""
 
     def __init__(
         self,
@@ -70,11 +71,11 @@ class Allotments:
         balls: Sequence[tuple[Array, float]],
         routes: Sequence[Route],
     ) -> None:
-        """Prepare.
+        """Builds the program that all allotments share.
 
         Args:
-            start: (3,) where the first leg begins. balls: centre (3,) and radius in m of where
-                each leg ends. routes: of each leg.
+            start: (3,) point where the first segment begins (m). balls: centre (3,) and radius (m)
+                of the ball in which each segment ends. routes: route of each segment.
         """
         self._scene, self._start = scene, start
         self._known = dict[Slots, tuple[float, Array]]()
@@ -84,7 +85,7 @@ class Allotments:
         at_out, at_in = at_stop.size + np.arange(2 * count).reshape(2, -1)
         at_margin = 5 * count
         rows = Rows()
-        # out + in + margin <= reach - fixed: right-hand sides are filled in for each allotment.
+        # Constraint out + in + margin <= reach - fixed; `_solve` fills in the right-hand sides.
         rows.add(np.zeros(count), (at_out, 1.0), (at_in, 1.0), (np.full(count, at_margin), 1.0))
         rows.add(np.zeros(count), (at_in, -1.0))
         for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
@@ -111,11 +112,11 @@ class Allotments:
         self._settings, self.statuses = settings(), Counter[str]()
 
     def margin(self, slots: Slots) -> float:
-        """Metres to spare on every leg at once, negative where the slots are not enough."""
+        """Returns the length left over on every segment (m), negative if slots are too few."""
         return self._solve(slots)[0]
 
     def stops(self, slots: Slots) -> Array:
-        """Where each leg ends (L, 3) with that margin."""
+        """Returns the stops (L, 3) of all segments with that margin (m)."""
         return self._solve(slots)[1]
 
     def _solve(self, slots: Slots) -> tuple[float, Array]:
@@ -135,24 +136,26 @@ class Allotments:
         return self._known[slots]
 
     def fewer(self, slots: Slots) -> list[Slots]:
-        """Allotments of one slot less in all, those with the best margins first."""
+        """Returns allotments with one slot less in all, those with the best margins first."""
         less = [_moved(slots, k, None) for k in range(len(slots)) if slots[k] > 1]
         if not less:
             return []
         best = max(less, key=self.margin)
-        seen = {best}
+        tried = {best}
         while True:
-            legs = range(len(best))
-            shifts = [_moved(best, i, j) for i in legs for j in legs if i != j and best[i] > 1]
-            seen.update(shifts)
+            segments = range(len(best))
+            shifts = [
+                _moved(best, i, j) for i in segments for j in segments if i != j and best[i] > 1
+            ]
+            tried.update(shifts)
             better = max(shifts, key=self.margin, default=best)
             if self.margin(better) <= self.margin(best) + 1e-6:
-                return sorted(seen, key=self.margin, reverse=True)
+                return sorted(tried, key=self.margin, reverse=True)
             best = better
 
 
 def _moved(slots: Slots, taken: int, given: int | None) -> Slots:
-    """A slot taken from one leg and given to another, or to none."""
+    """Returns `slots` with one slot taken from a segment and given to another, or to none."""
     new = list(slots)
     new[taken] -= 1
     if given is not None:

@@ -1,0 +1,72 @@
+"""Every program says what it takes, every module imports, and every public name is there."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+import mjcollect
+import train
+
+ROOT = Path(__file__).parents[1]
+EXTRAS = ("gymnasium", "stable_baselines3", "ray")  # optional, see pyproject.toml
+WITHOUT_ARGUMENTS = ("train.warm_up",)
+FACES = ("mjcollect", "mjcollect.scene", "mjcollect.render", "mjcollect.planners.reference")
+
+
+def programs():
+    """All that `python -m` runs, by name."""
+    for package in ("mjcollect", "train", "benchmarks"):
+        for file in sorted((ROOT / package).rglob("*.py")):
+            if '\nif __name__ == "__main__":\n' in file.read_text(encoding="utf-8"):
+                name = ".".join(file.relative_to(ROOT).with_suffix("").parts)
+                yield name.removesuffix(".__main__")
+
+
+def modules():
+    """All modules of the packages that are installed."""
+    for package in (mjcollect, train):
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            yield found.name
+
+
+def load(name):
+    """A module; the test is skipped where it needs an extra that is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRAS:
+            raise
+        pytest.skip(f"needs {error.name}")
+
+
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
+@pytest.mark.parametrize("name", [name for name in programs() if name not in WITHOUT_ARGUMENTS])
+def test_help_is_printed(name, monkeypatch, capsys):
+    load(name)
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module(name, run_name="__main__", alter_sys=True)
+    assert ended.value.code in (None, 0)
+    output = capsys.readouterr()
+    assert "--help" in output.out
+    assert output.err == ""
+
+
+@pytest.mark.parametrize("name", ["mjcollect", "train", *modules()])
+def test_every_module_has_the_public_names_that_it_lists(name):
+    module = load(name)
+    names = getattr(module, "__all__", [])
+    assert len(set(names)) == len(names)
+    for public in names:
+        assert getattr(module, public) is not None
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_faces_list_what_is_public(name):
+    assert importlib.import_module(name).__all__

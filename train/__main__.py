@@ -1,0 +1,35 @@
+"""Runs any program as `mjcollect PROGRAM ...`, the same as `python -m train.PROGRAM ...`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+PROGRAMS = {
+    "segment": "train.segment",
+    "mission": "train.mission",
+    "fly": "train.fly",
+    "generalist": "train.generalist",
+    "reproduce": "train.reproduce",
+    "scene": "mjcollect.scene.__main__",
+    "generate": "mjcollect.generate",
+    "render": "mjcollect.render.__main__",
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs a program by its name; returns its exit code, or 2 if there is no such program."""
+    given = sys.argv[1:] if argv is None else argv
+    if not given or given[0] not in PROGRAMS:
+        asked = bool(given) and given[0] in ("-h", "--help")
+        names = ", ".join(PROGRAMS)
+        said = f"usage: mjcollect PROGRAM [...]; mjcollect PROGRAM --help\nprograms: {names}"
+        wrong = f"error: program: {given[0]!r}: must be one of {names}" if given else said
+        print(said if asked else wrong, file=sys.stdout if asked else sys.stderr)
+        return 0 if asked else 2
+    module = importlib.import_module(PROGRAMS[given[0]])
+    return int(module.main(given[1:]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
