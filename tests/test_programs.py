@@ -12,6 +12,8 @@ import pytest
 
 import mjcollect
 import train
+from train.__main__ import PROGRAMS
+from train.__main__ import main as console
 
 ROOT = Path(__file__).parents[1]
 EXTRAS = ("gymnasium", "stable_baselines3", "ray")  # optional, see pyproject.toml
@@ -56,6 +58,27 @@ def test_help_is_printed(name, monkeypatch, capsys):
     output = capsys.readouterr()
     assert "--help" in output.out
     assert output.err == ""
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_the_console_command_runs_it(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        console([name, "--help"])
+    assert ended.value.code in (None, 0)
+    assert "--help" in capsys.readouterr().out
+
+
+def test_the_console_command_has_all_programs_of_the_packages():
+    named = {module.removesuffix(".__main__") for module in PROGRAMS.values()}
+    others = {"train", *WITHOUT_ARGUMENTS}  # itself, and what is not for users
+    assert named | others == {name for name in programs() if not name.startswith("benchmarks.")}
+
+
+def test_the_console_command_refuses_what_it_does_not_know(capsys):
+    assert console(["swim"]) == console([]) == 2
+    output = capsys.readouterr()
+    assert "'swim'" in output.err
+    assert output.out == ""
 
 
 @pytest.mark.parametrize("name", ["mjcollect", "train", *modules()])

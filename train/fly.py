@@ -58,11 +58,9 @@ class Args:
     policy: Path | None = None
     """Names the policy that flies --scene: shipped (the default), or a .safetensors or .pt file."""
     finetune: int = 2_000
-    """Trains that policy further for this many updates in each segment where it fails; 0 for
-    none."""
+    """Trains that policy for this many updates in each segment where it fails; 0 for none."""
     order: str | None = None
-    """Sets the visiting order for --scene: lkh (the default), exact, random, given, or a list such
-    as 2,0,1."""
+    """Orders the items of --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
     """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>."""
     guidance_cache: Path | None = None

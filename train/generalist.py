@@ -65,8 +65,7 @@ class Args:
     held_out: int = 60
     """Sets the number of segments, in further scenes, on which policies are compared."""
     shards: int = 0
-    """Sets the number of processes that simulate, in lock-step with the learner; with 0 the learner
-    simulates itself."""
+    """Sets the number of processes that simulate, in step with the learner; 0 for the learner's."""
     ray: str | None = None
     """Runs the shards on a Ray cluster at this address instead: host:port, auto, or local."""
     courses: int = 64

@@ -68,8 +68,7 @@ class Args(TrainingArgs):
     ray: str | None = None
     """Trains on a Ray cluster at this address instead: host:port, auto, or local."""
     retries: int = 2
-    """Trains a segment whose policy does not arrive from every start up to this many times more,
-    with other seeds."""
+    """Trains a segment with other seeds, up to this often, until every start arrives."""
 
 
 def main(argv: list[str] | None = None) -> int:

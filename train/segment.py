@@ -36,8 +36,7 @@ class Args(TrainingArgs):
     """Learns to fly one segment of a tour with DDPG, flies it, verifies the flight and films it."""
 
     segment: int | None = None
-    """Selects the segment of the tour, from 0 (leaves the depot) to K (returns to it); by default
-    the first whose straight line a box blocks."""
+    """Selects the segment, 0 (leaves the depot) to K (returns); by default the first blocked."""
     guidance_cache: Path | None = None
     """Names the folder in which a mission saved its guidance, which else takes seconds to build."""
 

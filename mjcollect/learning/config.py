@@ -19,11 +19,9 @@ class LearnConfig:
     updates: int = 6_000
     """Sets the number of updates in all (the paper: M episodes of P steps, U_2 updates each)."""
     least_updates: int = 1_000
-    """Forbids an early stop by --gap before this many updates; where learning goes on from a
-    policy, the default counts as 0."""
+    """Forbids an early stop by --gap before this many updates; by default 0 if given a policy."""
     gap: float = 0.05
-    """Stops when the policy arrives from every start and its mean cost is within this many seconds
-    of the least."""
+    """Stops once every start arrives and the mean cost is within this many seconds of the least."""
     patience: int = 2_500
     """Stops after this many updates without a better evaluation."""
     extra_updates: int = 10_000
@@ -62,13 +60,11 @@ class LearnConfig:
     flown: Literal["best", "last"] = "best"
     """Flies the best evaluated policy (best), or the last one as Algorithm 1 does (last)."""
     noise_min: float = 0.05
-    """Sets the standard deviation of the Gaussian action noise in the calmest simulation, as a
-    share of a_max."""
+    """Sets the Gaussian action noise of the calmest simulation (standard deviation over a_max)."""
     noise_max: float = 0.3
-    """Sets the same in the noisiest simulation; the others lie evenly between."""
+    """Sets the action noise of the noisiest simulation; the others lie evenly between."""
     demonstrations: int = 10_000
-    """Fills the buffer first with this many transitions of the guidance law with noise; 0 for
-    none."""
+    """Starts the buffer with this many transitions of the guidance law plus noise; 0 for none."""
     guided_share: float = 0.25
     """Lets the guidance law fly this share of the simulations at first; 0 for none."""
     guided_until: float = 0.6
@@ -76,16 +72,14 @@ class LearnConfig:
     eval_every: int = 500
     """Evaluates the policy, without noise, every this many updates."""
     eval_episodes: int = 32
-    """Sets the number of starts of an evaluation: the segment's own point, then random ones in its
-    ball."""
+    """Sets the number of evaluation starts: the segment's own point, others random in its ball."""
     threads: int = 1
     """Sets the number of MuJoCo's threads, on which the results do not depend."""
     observation: str = "path"
     """Selects the observation: guided, path (guided in the frame of the path), robust (guided, and
     what last kept the flight from its command), or paper."""
     reward: str = "lost"
-    """Selects the reward: lost (time lost), time (time flown), careful (a crash costs more) or
-    paper."""
+    """Selects the reward: lost (time lost), time (flown), careful (crashes cost more) or paper."""
     shield: bool = True
     """Bends commands that leave no way to stop without touching anything; without the shield, a
     crash ends an episode."""

@@ -109,8 +109,6 @@ def test_a_file_that_is_no_policy_is_refused(tmp_path, name):
     TrainedPolicy(make_actor(45, 16), "strange").save(tmp_path / "strange.pt")
     with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
         start_from(tmp_path / name, LearnConfig())
-    with pytest.raises(RunError, match=f"--policy: .*{name}: holds no policy"):
-        start_from(tmp_path / name, LearnConfig(), "--policy")
 
 
 def test_a_new_policy_sees_what_was_learned_since(actor):
