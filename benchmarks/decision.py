@@ -25,6 +25,7 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.dm_env import FlightTask
 from mjcollect.envs.episode import Episodes, Rules
 from mjcollect.envs.recording import record
+from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.ddpg import make_actor
 from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, weights_file
 from mjcollect.planners.mpc import Mpc
@@ -53,8 +54,6 @@ class Args(Output):
     """Scene file, or the name of a bundled scene."""
     policy: Path = NO_POLICY
     """Policy: shipped, none (a network of random weights, which takes as long), or a file."""
-    width: int = 128
-    """Width of the hidden layers of a network of random weights."""
     repeats: int = 5
     """Calls in a row of every way but the MPC, which decides once in each state."""
 
@@ -83,7 +82,9 @@ def measure(args: Args) -> dict[str, list[float]]:
         probe.load({"truth": episodes.q, "v": episodes.v, "target": episodes.target})
         return probe.guidance_action()[0]
 
-    policy = loaded or TrainedPolicy(make_actor(len(look(probe)), args.width), rules.observation)
+    policy = loaded or TrainedPolicy(
+        make_actor(len(look(probe)), LearnConfig().width), rules.observation
+    )
     seconds: dict[str, list[float]] = {way: [] for way in WAYS}
 
     def timed(way: str, decide: Callable[[], np.ndarray], repeats: int = args.repeats) -> Any:

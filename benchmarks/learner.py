@@ -28,7 +28,8 @@ from mjcollect.learning.ddpg import make_actor, make_buffer, make_critic
 from mjcollect.learning.fast_ddpg import LEARNERS
 
 GAMMA, TAU, RATE = 0.99, 0.01, 1e-3
-OBSERVATION = 52  # numbers in an observation
+OBSERVATION = 52  # An observation has so many numbers.
+TRANSITIONS = 20_000  # Each replay buffer holds so many transitions.
 ROUND = 8  # updates that ours and SB3's make in one call, as in training
 LEAN, SB3 = "ours, lean", "SB3"
 PLAIN, TUNED = "hand-written, as CleanRL", "hand-written, tuned"
@@ -39,12 +40,8 @@ COLUMNS = (
     ("of hand-written, as CleanRL", "{of hand-written, as CleanRL:.2f}"),
     ("of tuned", "{of hand-written, tuned:.2f}"),
 )
-# Least share of a peer's updates per second that ours should reach; the peer, and its name in full.
-TARGETS = {"SB3": 1.3, "hand-written": 0.9}
-PEERS = {
-    "SB3": (SB3, "SB3 as it comes"),
-    "hand-written": (TUNED, "the faster hand-written loop"),
-}
+TARGETS = {"SB3": 1.3, "hand-written": 0.9}  # least share of a peer's updates per second
+PEERS = {"SB3": (SB3, "SB3 as it comes"), "hand-written": (TUNED, "the faster hand-written loop")}
 Learn = Callable[[], object]  # makes the updates of one call; the last critic loss
 
 
@@ -58,8 +55,6 @@ class Args(Output):
     """Number of rounds, in each of which all learners have a turn."""
     updates: int = 64
     """Updates that each learner makes in a round, a multiple of 8."""
-    transitions: int = 20_000
-    """Transitions in each replay buffer."""
 
 
 def experience(n: int) -> TensorDict:
@@ -123,9 +118,8 @@ def by_hand(width: int, batch: int, data: TensorDict, *, tuned: bool) -> Learn:
     If `tuned`, it has fused Adam, one call for the soft update, and a buffer of torch tensors.
     """
     mlp = make_actor(OBSERVATION, width)[0].module
-    actor, critic = torch.nn.Sequential(mlp, torch.nn.Tanh()), make_critic(OBSERVATION, width)
-    critic = critic.module
-    nets = (actor, critic)
+    nets = torch.nn.Sequential(mlp, torch.nn.Tanh()), make_critic(OBSERVATION, width).module
+    actor, critic = nets
     targets = tuple(copy.deepcopy(net).requires_grad_(False) for net in nets)
     actor_optimizer, critic_optimizer = (
         torch.optim.Adam(net.parameters(), lr=RATE, fused=tuned or None) for net in nets
@@ -185,7 +179,7 @@ def lasting(learn: Learn, updates: int) -> Callable[[], int]:
             loss = learn()
         if not np.isfinite(np.asarray(torch.as_tensor(loss).detach())).all():
             raise RuntimeError(f"loss: {loss}: must be finite")
-        return updates
+        return updates // ROUND * ROUND
 
     return work
 
@@ -193,7 +187,7 @@ def lasting(learn: Learn, updates: int) -> Callable[[], int]:
 def measure(width: int, batch: int, args: Args) -> dict[str, Row]:
     """Returns each learner's updates per second and ratios to the others', medians over rounds."""
     torch.manual_seed(0)
-    data = experience(args.transitions)
+    data = experience(TRANSITIONS)
     learners = {
         LEAN: ours("lean", width, batch, data),
         "ours, TorchRL": ours("torchrl", width, batch, data),

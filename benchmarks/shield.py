@@ -46,8 +46,6 @@ class Args(Output):
     """Policy that flies: shipped, or a file."""
     segments: int = 60
     """Number of segments of each layout."""
-    seed: int = 0
-    """Seed of the segments."""
 
 
 def fly_segments(args: Args, name: str) -> list[Flight]:
@@ -57,7 +55,7 @@ def fly_segments(args: Args, name: str) -> list[Flight]:
     rule.HELD, rule.BENT = MANOEUVRES[name]  # the first flight compiles them into the code
     policy = TrainedPolicy.load(weights_file(args.policy))
     numbers = range(FIRST, FIRST + args.segments)
-    courses = (segment_course(args.seed, n, layout) for layout in LAYOUTS for n in numbers)
+    courses = (segment_course(0, n, layout) for layout in LAYOUTS for n in numbers)
     return [fly(course, [policy], policy.observation) for course in courses if course is not None]
 
 

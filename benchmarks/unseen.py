@@ -36,16 +36,14 @@ class Args(Output):
     """Policy that flies: shipped, or a file."""
     segments: int = 200
     """Number of segments of each layout."""
-    seed: int = 0
-    """Seed of the scenes, that of the policy's training, which had scenes of other numbers."""
     workers: int = 2
     """Processes that fly side by side."""
 
 
-def fly_segment(file: Path, seed: int, job: tuple[str, int]) -> Row | None:
+def fly_segment(file: Path, job: tuple[str, int]) -> Row | None:
     """Returns a segment's flights by policy and law; None where the guidance finds no way."""
     layout, number = job
-    course = segment_course(seed, number, layout)
+    course = segment_course(0, number, layout)
     if course is None:
         return None
     policy = TrainedPolicy.load(file)
@@ -87,7 +85,7 @@ def summary(rows: Sequence[Row]) -> list[Row]:
 def main(args: Args) -> int:
     """Flies, counts, saves; returns 1 if the policy misses 98% of arrivals or MARK in a layout."""
     jobs = [(name, FIRST + k) for name in LAYOUTS for k in range(args.segments)]
-    work = partial(fly_segment, weights_file(args.policy), args.seed)
+    work = partial(fly_segment, weights_file(args.policy))
     rows = [row for row in in_processes(work, jobs, args.workers) if row is not None]
     found, refused = summary(rows), len(jobs) - len(rows)
     content = {"policy": policy_digest(args.policy), "refused": refused}

@@ -23,7 +23,7 @@ class Targets:
         node: (T,) item index, or -1 for the depot. goal: (T, 3) m. tolerance: (T,) m.
         first, last: (N,) index of each episode's first and last target.
         step_limit: (N,) number of slots after which an episode is cut off.
-        items: (N, K, 3) m, padded with points far away. depot: (N, 3) m.
+        items: (N, K, 3) m, padded with points far away.
         before: (N, K) flags of the items that were collected before the episode begins.
     """
 
@@ -47,12 +47,11 @@ class Targets:
         self.first, self.last = offset[which], offset[which + 1] - 1
         self.step_limit = np.array([distinct[w].step_limit for w in which])
         most = max(len(course.scene.items) for course in courses)
-        self.items, self.depot = np.full((count, most, 3), FAR), np.empty((count, 3))
+        self.items = np.full((count, most, 3), FAR)
         self.before = np.zeros((count, most), dtype=bool)
         for index, w in enumerate(which):
             course = distinct[w]
             self.items[index, : len(course.scene.items)] = course.scene.items
-            self.depot[index] = course.scene.depot
             self.before[index, list(course.before)] = True
 
     def course(self, index: int) -> Course:
