@@ -174,10 +174,7 @@ def test_every_part_of_the_model_has_a_name_and_there_are_cameras(environment):
 # Observations
 
 
-def test_observations_of_two_slots_share_no_memory(environment, observation, request):
-    if observation == "robust":
-        reason = "`robust` hands out the array of the moving box itself"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+def test_observations_of_two_slots_share_no_memory(environment):
     first, second = environment.reset(), environment.step(np.zeros(3))
     for name, array in first.observation.items():
         assert not np.may_share_memory(array, second.observation[name]), name

@@ -232,7 +232,7 @@ def robust(world: World, state: State) -> Parts:
     return {
         **parts,
         "command": state.commanded / world.a_max,
-        "mover": state.mover,
+        "mover": state.mover.copy(),
         "drift": state.drift / world.a_max,
         "gain": state.gain,
         "push": state.push,

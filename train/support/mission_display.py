@@ -33,9 +33,9 @@ class MissionDisplay:
         self._bounds = [segment_bound(scene, *ends) for ends in self._ends]
         self._folders = [RunFolder(folder / "segments" / str(k)) for k in range(len(self._ends))]
         self._console = Console(stderr=True)
+        self._begun, self._at_start = time.monotonic(), self._total()
         # Reading all metrics takes a moment, hence once a second.
         self._live = Live(console=self._console, get_renderable=self._table, refresh_per_second=1)
-        self._begun, self._at_start = time.monotonic(), self._total()
         self._moving = sys.stderr.isatty()
 
     def __enter__(self) -> MissionDisplay:

@@ -51,14 +51,15 @@ def with_preset(args_class: Callable[..., T], argv: Sequence[str] | None) -> T:
     """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     finder.add_argument("--preset")
-    name = None
+    name: Any = None
     with contextlib.suppress(argparse.ArgumentError):  # tyro says what is wrong
         name = finder.parse_known_args(sys.argv[1:] if argv is None else list(argv))[0].preset
-    if name not in PRESETS:
+    choices = PRESETS.get(name)
+    if choices is None:
         return args_class()
     usual: Any = args_class(preset=name)
-    learn = {field: v for field, v in PRESETS[name].items() if hasattr(usual.learn, field)}
-    own = {field: v for field, v in PRESETS[name].items() if hasattr(usual, field)}
+    learn = {field: v for field, v in choices.items() if hasattr(usual.learn, field)}
+    own = {field: v for field, v in choices.items() if hasattr(usual, field)}
     changed: T = dataclasses.replace(usual, learn=dataclasses.replace(usual.learn, **learn), **own)
     return changed
 
