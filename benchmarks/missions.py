@@ -86,13 +86,13 @@ def fly_planned(kind: Callable[[Course], Any], course: Course) -> tuple[Flight, 
     return flight, how | {"decision_ms": statistics.median(milliseconds)}
 
 
-def run(scene: Scene, program: Sequence[str], args: Args) -> tuple[Row, Row]:
+def run(scene: Scene, order: Sequence[int], program: Sequence[str], args: Args) -> tuple[Row, Row]:
     """Runs one of PROGRAMS; returns its result, and its memory, training and final pilot."""
     with tempfile.TemporaryDirectory() as folder:
         path, out = Path(folder) / "scene.json", Path(folder) / "run"
         scene.save(path)
         command = [sys.executable, "-m", *program, "--scene", str(path), "--out", str(out)]
-        command += ["--order", args.order, "--no-video"]
+        command += ["--order", ",".join(map(str, order)), "--no-video"]
         if program[0] == "train.mission":
             command += ["--workers", str(args.workers)]
         with open(Path(folder) / "messages", "w") as messages:
@@ -154,7 +154,7 @@ def fly_mission(scene: Scene, name: str, args: Args) -> Row:
     course = None if name in PROGRAMS else Course.mission(scene, order)
     begun = time.perf_counter()
     if course is None:
-        result, more = run(scene, PROGRAMS[name], args)
+        result, more = run(scene, order, PROGRAMS[name], args)
     else:
         flight, more = PLANNERS[name](course)
         untrained = [None] * (len(order) + 1)

@@ -74,7 +74,7 @@ class Args(Output):
     """Seconds for which each way flies in a round, about."""
 
 
-def raw(scene: Scene, threads: int, slots: int = 64) -> Fly:
+def raw(scene: Scene, threads: int, slots: int = 512) -> Fly:
     """Flies by plain mj_step, as many simulations as threads, each for so many slots."""
     model = compile_model(scene)
     datas = [mujoco.MjData(model) for _ in range(threads)]

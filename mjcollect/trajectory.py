@@ -1,4 +1,4 @@
-"""A recorded flight: one row per physics step, saved as CSV with full float precision."""
+"""Holds a recorded flight, one row per physics step, and saves it as CSV with every digit."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.polyline import path_length
 
 HEADER = "t,x,y,z,vx,vy,vz,ax,ay,az"
+SHIELD_FILE = "shield.csv"
+SHIELD_HEADER = "begin,end"
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Row k holds the state at t_k and the acceleration that acts until t_{k+1}.
+    """Holds in row k the state at t_k and the acceleration that acts until t_{k+1}.
 
     v_{k+1} = v_k + a_k dt, x_{k+1} = x_k + v_{k+1} dt; straight between rows; last row a = 0.
 
@@ -30,11 +33,7 @@ class Trajectory:
     a: Array
 
     def __post_init__(self) -> None:
-        """Check shapes.
-
-        Raises:
-            ValueError: rows disagree or there are none.
-        """
+        """Raises a ValueError where rows disagree or there are none."""
         rows = len(self.t)
         if rows == 0 or any(part.shape != (rows, 3) for part in (self.x, self.v, self.a)):
             raise ValueError(
@@ -43,38 +42,31 @@ class Trajectory:
             )
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Returns the number of rows."""
         return len(self.t)
 
     @property
     def duration(self) -> float:
-        """Seconds from the first to the last row."""
+        """Returns the seconds from the first to the last row."""
         return float(self.t[-1] - self.t[0])
 
     @property
     def length(self) -> float:
-        """Flown path length in metres."""
-        return float(np.sum(np.linalg.norm(np.diff(self.x, axis=0), axis=1)))
+        """Returns the length of the flown path in metres."""
+        return path_length(self.x)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the CSV of the contract; `repr` of a float reads back to the same float."""
-        rows = np.column_stack([self.t, self.x, self.v, self.a])
-        lines = [",".join(map(repr, row)) for row in rows.tolist()]
-        Path(path).write_text("\n".join([HEADER, *lines]) + "\n", encoding="ascii")
+        """Writes the CSV file of the flight; `load` gives back the same floats."""
+        _write(path, HEADER, np.column_stack([self.t, self.x, self.v, self.a]))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Trajectory:
-        """Read a CSV written by `save`.
+        """Reads a CSV file written by `save`.
 
         Raises:
             ValueError: the header or a row is not as written by `save`.
         """
-        lines = Path(path).read_text(encoding="ascii").splitlines()
-        if not lines or lines[0] != HEADER:
-            raise ValueError(f"{path}: header {lines[:1]}: must be {HEADER!r}")
-        rows = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-        if rows.ndim != 2 or rows.shape[1] != 10:
-            raise ValueError(f"{path}: {rows.shape}: every row needs 10 numbers")
+        rows = _read(path, HEADER)
         return cls(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7:10])
 
 
@@ -82,56 +74,58 @@ class Recorder:
     """Collects rows slot by slot; the acceleration of a row is known with the next one."""
 
     def __init__(self, x: Array, v: Array, step: float) -> None:
-        """Start at rest or in motion at `x` (3,), `v` (3,); `step` is the physics step in s."""
+        """Starts at position `x` (3,) and velocity `v` (3,); `step` is the physics step in s."""
         self._step = step
-        self._x, self._v, self._a = [x.copy()], [v.copy()], []  # type: list, list, list
+        self._x, self._v, self._a = [x[None].copy()], [v[None].copy()], [np.empty((0, 3))]
 
     def slot(self, x: Array, v: Array, a: Array) -> None:
-        """Add the physics steps of one slot: x, v (n, 3), flown with the command a (3,)."""
-        self._x.extend(x.copy())
-        self._v.extend(v.copy())
-        self._a.extend([a.copy()] * len(x))
+        """Adds the physics steps of one slot: x, v (n, 3), flown with the command a (3,)."""
+        self._x.append(x.copy())
+        self._v.append(v.copy())
+        self._a.append(np.tile(a, (len(x), 1)))
 
     def trajectory(self) -> Trajectory:
-        """What was recorded so far."""
-        count = len(self._x)
-        a = np.array([*self._a, np.zeros(3)])
-        return Trajectory(
-            np.arange(count, dtype=np.float64) * self._step, np.array(self._x), np.array(self._v), a
-        )
-
-
-SHIELD_FILE = "shield.csv"
-SHIELD_HEADER = "begin,end"
+        """Returns what was recorded so far."""
+        x, v, a = (np.concatenate(parts) for parts in (self._x, self._v, self._a))
+        t = np.arange(len(x), dtype=np.float64) * self._step
+        return Trajectory(t, x, v, np.append(a, np.zeros((1, 3)), axis=0))
 
 
 def shield_intervals(acted: Sequence[bool], slot: float) -> Array:
-    """Seconds (n, 2) from begin to end of each run of slots in which the shield acted.
+    """Returns the seconds (n, 2) from begin to end of each run of slots in which the shield acted.
 
     Args:
-        acted: for each slot of `slot` seconds, from the first on.
+        acted: whether it acted, for each slot from the first on. slot: a slot's duration in s.
     """
-    edges = np.diff(np.concatenate([[0], np.asarray(acted, dtype=int), [0]]))
-    pairs = np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)], axis=1)
-    return np.asarray(pairs * slot)
+    edges = np.diff(np.asarray(acted, dtype=int), prepend=0, append=0)
+    return np.asarray(np.flatnonzero(edges).reshape(-1, 2) * slot)
 
 
 def save_shield(path: str | os.PathLike[str], when: Array) -> None:
-    """Write intervals (n, 2); `repr` of a float reads back to the same float."""
-    lines = [",".join(map(repr, row)) for row in when.tolist()]
-    Path(path).write_text("\n".join([SHIELD_HEADER, *lines]) + "\n", encoding="ascii")
+    """Writes intervals (n, 2) in seconds; `load_shield` gives back the same floats."""
+    _write(path, SHIELD_HEADER, when)
 
 
 def load_shield(path: str | os.PathLike[str]) -> Array:
-    """Intervals (n, 2) written by `save`; none where there is no file, as in older runs.
+    """Returns intervals (n, 2) in seconds; none where there is no file, as in older runs.
 
     Raises:
-        ValueError: the header or a row is not as written by `save`.
+        ValueError: the header or a row is not as written by `save_shield`.
     """
-    if not Path(path).is_file():
-        return np.empty((0, 2))
+    return _read(path, SHIELD_HEADER) if Path(path).is_file() else np.empty((0, 2))
+
+
+def _write(path: str | os.PathLike[str], header: str, rows: Array) -> None:
+    """Writes a CSV file; `repr` of a float reads back to the same float."""
+    lines = [",".join(map(repr, row)) for row in rows.tolist()]
+    Path(path).write_text("\n".join([header, *lines]) + "\n", encoding="ascii")
+
+
+def _read(path: str | os.PathLike[str], header: str) -> Array:
+    """Returns the rows (R, C) of a CSV file with a header of C columns."""
     lines = Path(path).read_text(encoding="ascii").splitlines()
-    rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
-    if lines[:1] != [SHIELD_HEADER] or any(len(row) != 2 for row in rows):
-        raise ValueError(f"{path}: must have the header {SHIELD_HEADER!r} and two numbers a row")
-    return np.array(rows).reshape(-1, 2)
+    cells = [line.split(",") for line in lines[1:]]
+    width = len(header.split(","))
+    if lines[:1] != [header] or any(len(row) != width for row in cells):
+        raise ValueError(f"{path}: needs the header {header!r} and {width} numbers in every row")
+    return np.array(cells, dtype=float).reshape(-1, width)

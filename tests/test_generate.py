@@ -68,7 +68,7 @@ def test_seed_decides_everything():
     assert not np.array_equal(generate(3, 5).items, generate(4, 5).items)
     assert not np.array_equal(generate(3, 5).obstacles, generate(4, 5).obstacles)
     assert generate(3, 5).seed == 3
-    assert generate(3, 5, name="mine").name == "mine"
+    assert generate(3, 5).name == "floating_5_seed3"
 
 
 def test_no_obstacles():
@@ -114,7 +114,7 @@ def test_command_writes_a_scene_and_refuses_to_overwrite(tmp_path, capsys):
         ({"--obstacles": "-3"}, "obstacles"),
         ({"--layout": "maze"}, "layout"),
         ({"--out": None}, "out"),
-        ({"--out": "."}, "folder"),
+        ({"--out": "."}, "exists"),
         ({"--out": "/dev/null/x.json"}, "written"),
     ],
 )

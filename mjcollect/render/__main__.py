@@ -8,24 +8,17 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from mjcollect.render.video import RenderError, _gl_environment, render_run
+from mjcollect.render.video import RenderError, gl_environment, render_run
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Command line; see the module's docstring. Returns 0, 1 (no GL or ffmpeg, bad run) or 130."""
+    """Runs the command line; returns 0, 1 (no GL or ffmpeg, bad run) or 130 (Ctrl-C)."""
     parser = argparse.ArgumentParser(prog="python -m mjcollect.render", description=__doc__)
-    parser.add_argument(
-        "--run", required=True, metavar="DIR", help="a segment's or mission's folder"
-    )
-    parser.add_argument(
-        "--samples",
-        type=int,
-        default=0,
-        choices=(0, 2, 4, 8),
-        help="multisampling: 4 smooths edges",
-    )
+    parser.add_argument("--run", required=True, metavar="DIR", help="folder of a finished run")
+    smooth = "samples per pixel (0); 4 smooth edges, at more than twice the time in software"
+    parser.add_argument("--samples", type=int, default=0, choices=(0, 2, 4, 8), help=smooth)
     arguments = parser.parse_args(argv)
-    os.environ.update(_gl_environment(os.environ))
+    os.environ.update(gl_environment(os.environ))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed
     try:
         path = render_run(arguments.run, samples=arguments.samples, show_progress=True)

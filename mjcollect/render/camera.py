@@ -1,4 +1,4 @@
-"""Cameras: a pinhole view, one that frames a box, and a chase camera that stays out of boxes."""
+"""Places cameras: one that frames a box, and a chase camera that stays out of boxes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
 Picture = NDArray[np.uint8]  # (H, W, 3)
-# What the chase camera may do when a box is in the way, relative to straight behind, in degrees.
+# When a box is in the way, the chase camera may turn and rise from straight behind (degrees).
 SWING = np.array([0.0, -35.0, 35.0, -70.0, 70.0, -110.0, 110.0])
 RAISE = np.array([0.0, 20.0, 40.0, 58.0, -30.0])
-BEHIND_ELEVATION = 17.0
-KEYFRAME = 0.2  # s of video between the chase camera's decisions
+BEHIND_ELEVATION = 17.0  # From straight behind, the chase camera looks down by this (degrees).
+TILT = np.radians([-25.0, 78.0])  # The chase camera's elevation stays in this range (rad).
+CLEARANCE = 0.9  # The line of sight keeps this share of the body's radius from boxes.
+KEYFRAME = 0.2  # The chase camera decides anew after this time (s of video).
 
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera without roll.
+    """Describes a pinhole camera without roll that looks neither straight up nor straight down.
 
     Attributes:
         eye, target: (3,) where it is and what it looks at, in metres.
@@ -37,16 +39,15 @@ class View:
 
     @property
     def axes(self) -> Array:
-        """(3, 3): right, up and forward unit vectors."""
+        """Returns the unit vectors to the right, up and forward, (3, 3)."""
         forward = self.target - self.eye
         forward = forward / np.linalg.norm(forward)
         right = np.array([forward[1], -forward[0], 0.0])
-        length = np.linalg.norm(right)
-        right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
+        right = right / np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixels (..., 2), x right and y down, and depth (...) in metres; behind if negative."""
+        """Returns pixels (..., 2), x right and y down, and depth (...) in m, negative if behind."""
         right, up, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
         width, height = self.size
         focal = height / 2 / np.tan(np.radians(self.fovy) / 2)
@@ -57,11 +58,11 @@ class View:
 def framing(
     bounds: Array, direction: Array, fovy: float, size: tuple[int, int], fill: float = 0.94
 ) -> View:
-    """The nearest view of a box (2, 3) along `direction` (3,) that shows all of it.
+    """Returns the nearest view of a box along a direction that shows all of it.
 
     Args:
-        bounds: what to frame. direction: from the camera to the box.
-        fovy: vertical field of view in degrees. size: pixels, width and height.
+        bounds: (2, 3) the box. direction: (3,) from the camera to the box.
+        fovy: vertical field of view in degrees. size: width and height in pixels.
         fill: the share of the picture's width and height that the box may take.
     """
     centre = bounds.mean(axis=0)
@@ -75,19 +76,17 @@ def framing(
 
 
 def clear_distance(start: Array, direction: Array, boxes: Array, margin: float) -> Array:
-    """How far one can go from `start` before coming within `margin` of a box; inf if never.
+    """Returns how far one can go before coming within a margin of a box; inf if never.
 
     A box that is already nearer than the margin counts with nine tenths of its distance instead,
     so that one can always move away from it; a box around the start is ignored.
 
     Args:
-        start, direction: (..., 3), directions of unit length. boxes: (M, 2, 3).
+        start, direction: (..., 3), in m and of unit length. boxes: (M, 2, 3). margin: in m.
 
     Returns:
-        (...) metres.
+        (...) in metres.
     """
-    if len(boxes) == 0:
-        return np.full(np.broadcast_shapes(start.shape, direction.shape)[:-1], np.inf)
     start, direction = start[..., None, :], direction[..., None, :]
     # Along the axes, as the grown box has sharp corners.
     gap = np.abs(nearest_point_offset(start, boxes)).max(axis=-1)
@@ -98,13 +97,13 @@ def clear_distance(start: Array, direction: Array, boxes: Array, margin: float) 
     enter = np.minimum(one, two).max(axis=-1)
     leave = np.maximum(one, two).min(axis=-1)
     hit = (enter <= leave) & (enter >= 0.0) & (gap > 0.0)
-    return np.asarray(np.where(hit, enter, np.inf).min(axis=-1))
+    return np.asarray(np.where(hit, enter, np.inf).min(axis=-1, initial=np.inf))
 
 
 def chase_eyes(
     scene: Scene, x: Array, v: Array, goal: Array, fps: float, distance: float
 ) -> tuple[Array, Array]:
-    """A camera that follows smoothly, behind and above, and never enters a box.
+    """Moves a camera that follows smoothly, behind and above, and never enters a box.
 
     The whole flight is known, so that filters look both ways and nothing lags. Per keyframe a
     direction is chosen among swings and raises (least total cost by dynamic programming); the
@@ -112,7 +111,7 @@ def chase_eyes(
 
     Args:
         scene: its boxes are avoided.
-        x, v: (F, 3) position and velocity per video frame. goal: (F, 3) what it flies to.
+        x, v: (F, 3) position and velocity in each frame (m, m/s). goal: (F, 3) what it flies to.
         fps: frames per second of video. distance: length of the boom in metres.
 
     Returns:
@@ -125,9 +124,10 @@ def chase_eyes(
     frames = np.arange(len(x))
     sigma = 0.35 * fps
     azimuth = heading + np.pi + _smooth(np.interp(frames, keys, swing), sigma)
-    tilt = _smooth(np.clip(elevation + np.interp(frames, keys, lift), *_tilt_range()), sigma)
+    tilt = _smooth(np.clip(elevation + np.interp(frames, keys, lift), *TILT), sigma)
     direction = _unit(azimuth, tilt)
-    reach = np.minimum(clear_distance(x, direction, scene.obstacles, _margin(scene)), distance)
+    margin = CLEARANCE * scene.uav_radius
+    reach = np.minimum(clear_distance(x, direction, scene.obstacles, margin), distance)
     # A mean of window minima never exceeds the value in the window's centre.
     half = max(1, round(0.4 * fps))
     shortest = minimum_filter1d(reach, 2 * half + 1, mode="nearest")
@@ -136,7 +136,7 @@ def chase_eyes(
 
 
 def _behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[Array, Array]:
-    """Smooth heading (F,) and the elevation (F,) of a camera straight behind, in radians."""
+    """Returns smooth heading (F,) and elevation (F,) of a camera straight behind, in radians."""
     ahead = goal - x
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     # At low speed look towards the goal: the direction of a vanishing velocity means nothing.
@@ -149,17 +149,18 @@ def _behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[
     heading = _smooth(np.unwrap(angle), 0.5 * fps)
     climb = np.arctan2(course[:, 2], np.maximum(sideways, 1e-9))
     tilt = np.radians(BEHIND_ELEVATION) - 0.6 * _smooth(climb, 0.6 * fps)
-    return heading, np.clip(tilt, *_tilt_range())
+    return heading, np.clip(tilt, *TILT)
 
 
 def _choose(
     scene: Scene, x: Array, heading: Array, elevation: Array, distance: float
 ) -> tuple[Array, Array]:
-    """Swing and raise (keys,) in radians of least total cost."""
+    """Returns the swing and raise (keys,) of least total cost in radians."""
     swing, lift = (grid.ravel() for grid in np.meshgrid(np.radians(SWING), np.radians(RAISE)))
-    tilt = np.clip(elevation[:, None] + lift, *_tilt_range())
+    tilt = np.clip(elevation[:, None] + lift, *TILT)
     direction = _unit(heading[:, None] + np.pi + swing, tilt)
-    clear = clear_distance(x[:, None, :], direction, scene.obstacles, _margin(scene))
+    margin = CLEARANCE * scene.uav_radius
+    clear = clear_distance(x[:, None, :], direction, scene.obstacles, margin)
     # Clipped tilts that would look up through the ground are as bad as a box.
     below = x[:, None, 2] + distance * direction[..., 2] < scene.bounds[0, 2] + 1.0
     short = 1.0 - np.minimum(clear / distance, 1.0)
@@ -177,14 +178,6 @@ def _choose(
     for key in range(len(x) - 1, 0, -1):
         best[key - 1] = back[key, best[key]]
     return swing[best], lift[best]
-
-
-def _margin(scene: Scene) -> float:
-    return 0.9 * scene.uav_radius
-
-
-def _tilt_range() -> tuple[float, float]:
-    return np.radians(-25.0), np.radians(78.0)
 
 
 def _unit(azimuth: Array, elevation: Array) -> Array:

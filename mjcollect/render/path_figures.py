@@ -1,9 +1,9 @@
-"""Figures of a flight and of learning, as PNG files; no global matplotlib state is touched."""
+"""Draws a flown path in three dimensions and from above, as PNG files."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -17,13 +17,16 @@ from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.arrivals import Progress, progress
+from mjcollect.render.overlay import SPEED_MAP
 from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, flight_title, save
 from mjcollect.render.time_figures import figure as new_figure
+from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 
-SPEED_MAP = "viridis"
+MOST_PIECES = 1500  # More pieces of a path cannot be told apart, and take long to draw.
 GUIDANCE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 3)), "linewidth": 1.2}
 END: dict[str, Any] = {"color": RED, "marker": "X", "s": 45, "edgecolor": "white", "zorder": 7}
 TEXT: dict[str, Any] = {
@@ -32,7 +35,8 @@ TEXT: dict[str, Any] = {
     "color": BLACK,
     "bbox": {"boxstyle": "round,pad=0.18", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"},
 }
-MARGIN = 0.12  # of a segment's extent, left free around it
+EDGE = "#5A6672"  # Boxes have edges of this colour.
+MARGIN = 0.12  # This share of a segment's extent is left free around it.
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 )
@@ -46,7 +50,7 @@ def plot_path_3d(
     segment: int | None = None,
     guidance_path: Array | None = None,
 ) -> Figure:
-    """Flown path among the boxes in three dimensions, coloured by speed.
+    """Draws the flown path among the boxes in three dimensions, coloured by speed.
 
     Args:
         path: PNG to write, 1440 by 1200 pixels.
@@ -60,44 +64,32 @@ def plot_path_3d(
     done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
     axes: Any = figure.add_axes((0.0, 0.02, 0.86, 0.93), projection="3d", computed_zorder=False)
-    low, high = _window(scene, trajectory, done, segment, guidance_path)
-    draw_boxes_3d(axes, _clipped(scene.obstacles, low, high))
-    pieces, speed = _pieces(trajectory)
+    low, high = _window(done, guidance_path)
+    inside = np.clip(scene.obstacles, low, high)
+    draw_boxes_3d(axes, inside[np.all(inside[:, 1] > inside[:, 0], axis=-1)])
+    pieces, by_speed = _pieces(done)
     shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
     axes.add_collection3d(
         Line3DCollection(shadow, colors="black", alpha=0.18, linewidth=1.5, zorder=2)
     )
-    lines = Line3DCollection(pieces, linewidth=3, zorder=4, **_by_speed(scene))
-    lines.set_array(speed)
-    axes.add_collection3d(lines)
+    axes.add_collection3d(Line3DCollection(pieces, linewidth=3, zorder=4, **by_speed))
     if guidance_path is not None:
         axes.plot(*guidance_path.T, zorder=3, **GUIDANCE)
-    for node, colour, marker, size in _nodes(scene, done, segment):
-        point = scene.point(node)
-        if np.any(point < low) or np.any(point > high):
-            continue
+    for point, label, style in _nodes(done, low, high):
         foot = np.array([*point[:2], low[2]])
-        axes.plot(*np.stack([point, foot]).T, color=colour, alpha=0.5, linewidth=0.8, zorder=3)
-        axes.scatter(
-            *point,
-            color=colour,
-            marker=marker,
-            s=size,
-            edgecolor="white",
-            depthshade=False,
-            zorder=6,
-        )
+        line = {"color": style["color"], "alpha": 0.5, "linewidth": 0.8}
+        axes.plot(*np.stack([point, foot]).T, zorder=3, **line)
+        axes.scatter(*point, depthshade=False, **style)
         above = point + (high - low) * [0, 0, 0.025]
-        axes.text(*above, _label(node, order), ha="center", va="bottom", zorder=8, **TEXT)
+        axes.text(*above, label, ha="center", va="bottom", zorder=8, **TEXT)
     axes.scatter(*trajectory.x[-1], depthshade=False, **END)
     for name, least, most in zip("xyz", low, high, strict=True):
         getattr(axes, f"set_{name}lim")(least, most)
         getattr(axes, f"set_{name}label")(f"{name} (m)", labelpad=9, **LABEL)
-        axes.tick_params(axis=name, labelsize=9.5)
+    axes.tick_params(labelsize=9.5)
     axes.set_box_aspect(high - low)
     axes.view_init(elev=24, azim=-58)
-    _finish(figure, path, scene, trajectory, order, segment, lines, guidance_path is not None)
-    return figure
+    return _finish(figure, path, done, by_speed, guidance_path is not None)
 
 
 def plot_path_top(
@@ -108,41 +100,32 @@ def plot_path_top(
     segment: int | None = None,
     guidance_path: Array | None = None,
 ) -> Figure:
-    """The same from above: boxes shaded by the height of their tops, arrows along the path.
+    """Draws the same from above: boxes shaded by the height of their tops, arrows along the path.
 
     See `plot_path_3d` for the arguments.
     """
     done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
-    axes = figure.add_axes((0.075, 0.085, 0.76, 0.83))
-    low, high = _window(scene, trajectory, done, segment, guidance_path)
+    axes: Any = figure.add_axes((0.075, 0.085, 0.76, 0.83))
+    low, high = (corner[:2] for corner in _window(done, guidance_path))
     draw_boxes_top(axes, scene)
-    _box_heights(axes, scene, trajectory, low, high)
-    pieces, speed = _pieces(trajectory)
+    _box_heights(axes, done, low, high)
+    pieces, by_speed = _pieces(done)
     flat = list(pieces[..., :2])
-    lines = LineCollection(flat, linewidth=3.2, capstyle="round", zorder=4, **_by_speed(scene))
-    lines.set_array(speed)
     axes.add_collection(LineCollection(flat, colors="white", linewidth=5.2, zorder=3))
-    axes.add_collection(lines)
-    _arrows(axes, trajectory, done)
+    axes.add_collection(LineCollection(flat, linewidth=3.2, capstyle="round", zorder=4, **by_speed))
+    _arrows(axes, done)
     if guidance_path is not None:
         axes.plot(*guidance_path.T[:2], zorder=4.5, **GUIDANCE)
     side = (high - low)[0]
-    for node, colour, marker, size in _nodes(scene, done, segment):
-        point = scene.point(node)
-        x, y = point[:2]
-        if np.any(point[:2] < low[:2]) or np.any(point[:2] > high[:2]):
-            continue
-        axes.scatter(
-            x, y, color=colour, marker=marker, s=1.3 * size, edgecolor="white", zorder=6,
-            clip_on=False,
-        )  # fmt: skip
+    for (x, y, z), label, style in _nodes(done, low, high):
+        axes.scatter(x, y, clip_on=False, **style | {"s": 1.3 * style["s"]})
         above = y < high[1] - 0.08 * side
         across = "center"
         if min(x - low[0], high[0] - x) < 0.1 * side:
             across = "left" if x - low[0] < high[0] - x else "right"
         axes.annotate(
-            f"{_label(node, order)} · z {point[2]:.0f} m", (x, y), xytext=(0, 12 if above else -12),
+            f"{label} · z {z:.0f} m", (x, y), xytext=(0, 12 if above else -12),
             textcoords="offset points", ha=across, va="bottom" if above else "top", zorder=8,
             **TEXT,
         )  # fmt: skip
@@ -152,76 +135,56 @@ def plot_path_top(
     axes.set_ylabel("y (m)", **LABEL)
     axes.grid(color="#DDDDDD", linewidth=0.6)
     axes.set_axisbelow(True)
-    _finish(figure, path, scene, trajectory, order, segment, lines, guidance_path is not None)
-    return figure
+    return _finish(figure, path, done, by_speed, guidance_path is not None)
 
 
 # Shared parts
 
 
-def _by_speed(scene: Scene) -> dict[str, Any]:
-    return {"cmap": SPEED_MAP, "norm": Normalize(0, scene.v_max)}
-
-
-def _label(node: int, order: Sequence[int]) -> str:
-    """'item 3 · stop 2': index and place in the visiting order."""
-    return "depot" if node < 0 else f"item {node} · stop {list(order).index(node) + 1}"
-
-
 def draw_boxes_3d(axes: Any, boxes: Array) -> None:
-    """Draw boxes (M, 2, 3) in three dimensions."""
+    """Draws boxes (M, 2, 3) in three dimensions."""
     for box in boxes:
         corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
         axes.add_collection3d(
             Poly3DCollection(
-                corners[BOX_FACES], facecolor="#8899AA", edgecolor="#5A6672", alpha=0.16,
-                linewidth=0.5, zorder=1,
+                corners[BOX_FACES], facecolor="#8899AA", edgecolor=EDGE, alpha=0.16, linewidth=0.5,
+                zorder=1,
             )
         )  # fmt: skip
 
 
 def draw_boxes_top(axes: Any, scene: Scene) -> None:
-    """Draw a scene's boxes from above, darker the higher their tops."""
+    """Draws a scene's boxes from above, darker the higher their tops."""
     floor, ceiling = scene.bounds[:, 2]
     for box in sorted(scene.obstacles, key=lambda box: float(box[1, 2])):
         shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
-        width, depth = (box[1] - box[0])[:2]
         axes.add_patch(
             Rectangle(
-                (box[0, 0], box[0, 1]), width, depth, facecolor=str(shade), edgecolor="#5A6672",
+                box[0, :2], *(box[1] - box[0])[:2], facecolor=str(shade), edgecolor=EDGE,
                 alpha=0.75, linewidth=0.8, zorder=1,
             )
         )  # fmt: skip
 
 
-def _pieces(trajectory: Trajectory, most: int = 1500) -> tuple[Array, Array]:
-    """Line pieces (P, 2, 3) of the path and the speed (P,) on each."""
-    rows = np.unique(
-        np.linspace(0, len(trajectory) - 1, min(len(trajectory), most)).round().astype(int)
-    )
-    points = trajectory.x[rows]
-    if len(points) == 1:
-        points = np.repeat(points, 2, axis=0)
-    speed = np.linalg.norm(trajectory.v[rows], axis=1)
-    pieces = np.stack([points[:-1], points[1:]], axis=1)
-    return pieces, speed[: len(pieces)] if len(speed) <= len(pieces) else (
-        speed[:-1] + speed[1:]
-    ) / 2
+def _pieces(done: Progress) -> tuple[Array, dict[str, Any]]:
+    """Returns line pieces (P, 2, 3) of the path, and the style that colours them by speed."""
+    trajectory = done.trajectory
+    count = max(2, min(len(trajectory), MOST_PIECES))
+    rows = np.linspace(0, len(trajectory) - 1, count).round().astype(int)
+    points, speed = trajectory.x[rows], np.linalg.norm(trajectory.v[rows], axis=1)
+    style = {"cmap": SPEED_MAP, "norm": Normalize(0, done.scene.v_max)}
+    style["array"] = (speed[:-1] + speed[1:]) / 2
+    return np.stack([points[:-1], points[1:]], axis=1), style
 
 
-def _window(
-    scene: Scene,
-    trajectory: Trajectory,
-    done: Progress,
-    segment: int | None,
-    guidance: Array | None,
-) -> tuple[Array, Array]:
-    """Limits of the picture: the bounds, or a cube that the segment fills."""
-    low, high = scene.bounds[0].copy(), scene.bounds[1].copy()
-    if segment is None:
+def _window(done: Progress, guidance: Array | None) -> tuple[Array, Array]:
+    """Returns the limits of the picture: the bounds, or a cube that the segment fills."""
+    scene, flown = done.scene, done.trajectory.x
+    low, high = scene.bounds
+    if done.segment is None:
         return low, high
-    ends = [scene.point(done.start), scene.point(done.targets[0])]
-    shown = np.concatenate([trajectory.x, ends, *([] if guidance is None else [guidance])])
+    ends = [scene.point(node) for node in done.nodes]
+    shown = np.concatenate([flown, ends, *([] if guidance is None else [guidance])])
     least, most = shown.min(axis=0), shown.max(axis=0)
     side = max(float(np.max(most - least)), 20 * scene.epsilon) * (1 + 2 * MARGIN)
     side = np.minimum(side, high - low)
@@ -230,40 +193,37 @@ def _window(
     return start, start + side
 
 
-def _clipped(boxes: Array, low: Array, high: Array) -> Array:
-    """The parts of boxes (M, 2, 3) inside the window."""
-    cut = np.clip(boxes, low, high)
-    return np.asarray(cut[np.all(cut[:, 1] > cut[:, 0], axis=-1)])
+def _nodes(done: Progress, low: Array, high: Array) -> Iterator[tuple[Array, str, dict[str, Any]]]:
+    """Yields position, label and marker of each node in the window, a segment's ends bigger.
+
+    Labels are 'depot' or 'item 3 · stop 2', with the item's index and place in the order. The
+    window has two or three coordinates.
+    """
+    scene, reached = done.scene, done.collected(len(done.rows))
+    ends = () if done.segment is None else done.nodes
+    for node in range(DEPOT, len(scene.items)):
+        point, label, colour, marker, size = scene.point(node), "depot", BLUE, "s", 110.0
+        if node != DEPOT:
+            label = f"item {node} · stop {done.order.index(node) + 1}"
+            colour, marker, size = GREEN if node in reached else ORANGE, "o", 80.0
+        style = {"color": colour, "marker": marker, "s": 170.0 if node in ends else size}
+        if np.all((point[: len(low)] >= low) & (point[: len(low)] <= high)):
+            yield point, label, {**style, "edgecolor": "white", "zorder": 6}
 
 
-def _nodes(scene: Scene, done: Progress, segment: int | None) -> list[tuple[int, str, str, float]]:
-    """Node, colour, marker and size, the ends of a segment emphasised."""
-    ends = (done.start, *done.targets)
-    reached = done.collected(len(done.rows))
-    drawn = []
-    for node in range(-1, len(scene.items)):
-        colour = BLUE if node < 0 else GREEN if node in reached else ORANGE
-        big = segment is not None and node in ends
-        drawn.append(
-            (node, colour, "s" if node < 0 else "o", 170.0 if big else 110.0 if node < 0 else 80.0)
-        )
-    return drawn
-
-
-def _box_heights(axes: Any, scene: Scene, trajectory: Trajectory, low: Array, high: Array) -> None:
-    """Write each box's bottom and top where neither path nor items nor other texts are near."""
-    nodes = np.concatenate([scene.items, scene.depot[None]])
-    # Texts are wide: distances count along x a third.
-    wide = np.array([1 / 3, 1.0]) / (high - low)[:2]
-    labels = nodes + np.array([0.0, 0.03, 0.0]) * (high - low)
-    taken = np.concatenate([trajectory.x[::10], nodes, labels])
-    taken = taken[:, :2] * wide
+def _box_heights(axes: Any, done: Progress, low: Array, high: Array) -> None:
+    """Writes each box's bottom and top where neither path nor items nor other texts are near."""
+    scene, flown = done.scene, done.trajectory.x[::10, :2]
+    nodes = np.concatenate([scene.items, scene.depot[None]])[:, :2]
+    labels = nodes + np.array([0.0, 0.03]) * (high - low)
+    wide = np.array([1 / 3, 1.0]) / (high - low)  # texts are wide: distances count along x a third
+    taken = np.concatenate([flown, nodes, labels]) * wide
     shares = np.array([[0.5, 0.5], [0.5, 0.2], [0.5, 0.8], [0.3, 0.5], [0.7, 0.5]])
     for box in scene.obstacles:
-        seen = np.clip(box, low, high)[:, :2]
+        seen = np.clip(box[:, :2], low, high)
         places = seen[0] + shares * (seen[1] - seen[0])
         room = np.linalg.norm(places[:, None] * wide - taken, axis=-1).min(axis=1)
-        edge = np.minimum(places - low[:2], high[:2] - places).min(axis=1) / (high - low)[0]
+        edge = np.minimum(places - low, high - places).min(axis=1) / (high - low)[0]
         room = np.where(edge > 0.04, room, 0.0)
         best = int(np.argmax(room + 0.02 * (np.arange(5) == 0)))
         if room[best] > 0.018:
@@ -274,54 +234,47 @@ def _box_heights(axes: Any, scene: Scene, trajectory: Trajectory, low: Array, hi
             taken = np.concatenate([taken, places[best : best + 1] * wide])
 
 
-def _arrows(axes: Any, trajectory: Trajectory, done: Progress) -> None:
-    """An arrow head at the middle of each segment."""
+def _arrows(axes: Any, done: Progress) -> None:
+    """Draws an arrow head at the middle of each segment."""
     rows = [0, *done.rows]
-    if len(done.rows) < len(done.targets):
-        rows.append(len(trajectory) - 1)
+    if not done.complete:
+        rows.append(len(done.trajectory) - 1)
     for first, last in pairwise(rows):
-        x = trajectory.x[first : last + 1, :2]
-        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+        flown = done.trajectory.x[first : last + 1]
+        travelled = marks(flown[:, :2])
         if travelled[-1] < 1.0:
             continue
-        tail, head = (
-            [np.interp(share * travelled[-1], travelled, column) for column in x.T]
-            for share in (0.47, 0.53)
-        )
-        axes.annotate("", head, tail, zorder=5, annotation_clip=True, arrowprops={
+        ends = interpolate(flown, travelled, np.array([0.53, 0.47]) * travelled[-1])[:, :2]
+        axes.annotate("", *ends, zorder=5, annotation_clip=True, arrowprops={
             "arrowstyle": "-|>,head_length=0.75,head_width=0.42", "color": BLACK, "linewidth": 0,
             "shrinkA": 0, "shrinkB": 0,
         })  # fmt: skip
 
 
 def _finish(
-    figure: Figure, path: str | os.PathLike[str], scene: Scene, trajectory: Trajectory,
-    order: Sequence[int], segment: int | None, lines: Any, guidance: bool,
-) -> None:  # fmt: skip
-    """Title, colour bar and legend outside of the data; then write."""
-    figure.suptitle(flight_title(scene, trajectory, order, segment), fontsize=15, x=0.5, y=0.972)
-    bar = figure.colorbar(
-        ScalarMappable(lines.norm, lines.cmap), cax=figure.add_axes((0.875, 0.36, 0.02, 0.50))
-    )
+    figure: Figure, path: str | os.PathLike[str], done: Progress, by_speed: dict[str, Any],
+    guidance: bool,
+) -> Figure:  # fmt: skip
+    """Adds title, colour bar and legend outside of the data; then writes the file."""
+    figure.suptitle(flight_title(done), fontsize=15, x=0.5, y=0.972)
+    scale = ScalarMappable(by_speed["norm"], by_speed["cmap"])
+    bar = figure.colorbar(scale, cax=figure.add_axes((0.875, 0.36, 0.02, 0.50)))
     bar.set_label("speed (m/s)", **LABEL)
     bar.ax.tick_params(labelsize=9.5)
-
-    def dot(colour: str, marker: str) -> Line2D:
-        style = {"color": colour, "marker": marker, "markersize": 9, "markeredgecolor": "white"}
-        return Line2D([], [], linestyle="", **style)  # type: ignore[arg-type]
-
+    style: dict[str, Any] = {"linestyle": "", "markersize": 9, "markeredgecolor": "white"}
     handles: dict[str, Any] = {
-        "collected": dot(GREEN, "o"),
-        "not collected": dot(ORANGE, "o"),
-        "depot": dot(BLUE, "s"),
-        "end of flight": dot(RED, "X"),
+        "collected": Line2D([], [], color=GREEN, marker="o", **style),
+        "not collected": Line2D([], [], color=ORANGE, marker="o", **style),
+        "depot": Line2D([], [], color=BLUE, marker="s", **style),
+        "end of flight": Line2D([], [], color=RED, marker="X", **style),
     }
     if guidance:
         handles["shortest path"] = Line2D([], [], **GUIDANCE)
-    if lines.axes.name != "3d":
-        handles["box, z from–to (m)"] = Rectangle((0, 0), 1, 1, color="#AAAAAA")
+    if figure.axes[0].name != "3d":
+        handles["box, z range (m)"] = Rectangle((0, 0), 1, 1, color="#AAAAAA")
     figure.legend(
         list(handles.values()), list(handles), loc="lower left", bbox_to_anchor=(0.845, 0.09),
         frameon=False, fontsize=10.5, handletextpad=0.4,
     )  # fmt: skip
     save(figure, path)
+    return figure

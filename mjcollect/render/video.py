@@ -1,4 +1,4 @@
-"""Video of a flight: `render_video`, and `python -m mjcollect.render --run DIR` for run folders.
+"""Films flights: `render_video`, and `python -m mjcollect.render --run DIR` for run folders.
 
 mujoco reads MUJOCO_GL when it is imported, so programs that have imported it already, or that
 must run without GL, use `render_in_child`.
@@ -6,32 +6,37 @@ must run without GL, use `render_in_child`.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
 import subprocess
 import sys
-import time
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
+from tqdm import tqdm
 
-from mjcollect.geometry.compiled import Array
+from mjcollect.render.arrivals import progress
+from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, Trajectory, load_shield
 
-MISSION_SECONDS = 60.0  # a mission's video is sped up to about this length
+LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
 RUN_FPS = 25
-LOG_SECONDS = 10.0  # between two states of the progress bar in a log file
+LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).
+BAR = "video"  # The progress bar's line begins with this.
 LATER = "python -m mjcollect.render --run"
 
 
 class RenderError(RuntimeError):
-    """No video could be made. The message says why and what to do."""
+    """Says that no video could be made; the message says why and what to do."""
 
 
 def render_video(
@@ -39,38 +44,30 @@ def render_video(
     scene: Scene,
     trajectory: Trajectory,
     order: Sequence[int],
-    *,
     segment: int | None = None,
-    fps: float = 30,
-    speed: float = 1.0,
-    size: tuple[int, int] = (1280, 720),
-    caption: str | None = None,
-    samples: int = 0,
-    shielded: Array | None = None,
+    *,
+    settings: VideoSettings | None = None,
+    shielded: ArrayLike = (),
     show_progress: bool = False,
 ) -> None:
-    """Write an H.264 video of a flight; needs MUJOCO_GL set before mujoco was imported.
+    """Writes an H.264 video of a flight; needs MUJOCO_GL set before mujoco was imported.
 
     Args:
         path: of the .mp4, replaced in one step when the video is complete.
         scene, trajectory, order: what was flown; a flight that ends early is shown as far as
             it goes.
         segment: 0..K if the trajectory is one segment, None if it is a mission.
-        fps: frames per second. speed: seconds of flight per second of video.
-        size: width and height in pixels, both even.
-        caption: headline of the result; by default whether the targets were reached.
-        samples: multisampling; 4 smooths edges, in software GL at more than twice the time.
-        shielded: (n, 2) seconds between which the shield acted, marked; see `shield_log`.
+        settings: size, frame rate and the like.
+        shielded: (n, 2) seconds from begin to end of the times in which the shield acted, which
+            are marked.
         show_progress: draw a progress bar on stderr.
 
     Raises:
-        ValueError: a value is unusable.
+        ValueError: there is no such order or segment.
         RenderError: no GL or no ffmpeg.
     """
-    if min(size) < 16 or size[0] % 2 or size[1] % 2:
-        raise ValueError(f"size: {size}: needs even numbers of at least 16 pixels")
-    if not (math.isfinite(fps) and fps > 0 and math.isfinite(speed) and speed > 0):
-        raise ValueError(f"fps, speed: {fps}, {speed}: must be positive numbers")
+    settings = settings or VideoSettings()
+    done = progress(scene, trajectory, order, segment)
     import imageio_ffmpeg
     import mediapy
 
@@ -81,33 +78,39 @@ def render_video(
     _check_gl()
     from mjcollect.render.frames import Film
 
-    film = Film(
-        scene, trajectory, order,
-        segment=segment, fps=fps, speed=speed, size=size, caption=caption, samples=samples,
-        shielded=shielded,
-    )  # fmt: skip
-    frames = film.frames()
+    film = Film(done, settings, np.reshape(shielded, (-1, 2)))
     path = Path(path)
     part = path.with_name(f".{path.stem}.part.mp4")
     try:
-        with mediapy.VideoWriter(
-            part, (size[1], size[0]), fps=fps, crf=22, encoded_format="yuv420p",
-            ffmpeg_args="-preset veryfast -movflags +faststart",
-        ) as writer:  # fmt: skip
-            for frame in _bar(frames, len(film), show_progress):
+        with (
+            closing(film.frames()) as frames,
+            mediapy.VideoWriter(
+                part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
+                ffmpeg_args="-preset veryfast -movflags +faststart",
+            ) as writer,
+        ):  # fmt: skip
+            for frame in tqdm(
+                frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True,
+                disable=not show_progress,
+            ):  # fmt: skip
                 writer.add_image(frame)
         os.replace(part, path)
     finally:
-        frames.close()
         part.unlink(missing_ok=True)
 
 
 def render_run(
     folder: str | os.PathLike[str], *, samples: int = 0, show_progress: bool = False
 ) -> Path:
-    """Write the video of a run folder: segment.mp4 or mission.mp4.
+    """Writes the video of a run folder: segment.mp4 or mission.mp4.
 
-    `samples`: as in `render_video`.
+    Args:
+        folder: of a finished run.
+        samples: as in `VideoSettings`.
+        show_progress: draw a progress bar on stderr.
+
+    Returns:
+        The video's path.
 
     Raises:
         RenderError: the folder is not a readable run, or no video could be made.
@@ -131,84 +134,70 @@ def render_run(
             f"{folder}: not a readable run ({type(error).__name__}: {_line(error)}); "
             "run the training or flight again"
         ) from None
-    speed = 1.0
-    if trajectory.duration > MISSION_SECONDS:
-        speed = math.ceil(4 * trajectory.duration / MISSION_SECONDS) / 4
+    # In quarters, so that the speed that is written on the frames is short.
+    speed = max(1.0, math.ceil(4 * trajectory.duration / LONGEST) / 4)
+    settings = VideoSettings(fps=RUN_FPS, speed=speed, caption=caption, samples=samples)
     path = folder / f"{kind}.mp4"
     try:
         render_video(
-            path, scene, trajectory, order,
-            segment=segment, fps=RUN_FPS, speed=speed, caption=caption, samples=samples,
-            shielded=shielded, show_progress=show_progress,
+            path, scene, trajectory, order, segment,
+            settings=settings, shielded=shielded, show_progress=show_progress,
         )  # fmt: skip
-    except ValueError as error:
-        raise RenderError(f"{folder}: {_line(error)}") from None
-    except OSError as error:
-        raise RenderError(f"{path}: cannot be written ({_line(error)}); check the disk") from None
+    except (OSError, ValueError) as error:
+        raise RenderError(f"{path}: cannot be written ({_line(error)})") from None
     return path
 
 
-def render_in_child(run_dir: str | os.PathLike[str], *, samples: int = 0) -> str | None:
-    """Render a run folder in a child process, with MUJOCO_GL from the environment or egl.
+def render_in_child(run_dir: str | os.PathLike[str]) -> str | None:
+    """Films a run folder in a child process, with MUJOCO_GL from the environment or egl.
 
-    Works whatever this process has imported. The child's progress bar shows on stderr; a
-    Ctrl-C here stops the child too. `samples`: as in `render_run`.
+    This works whatever this process has imported. The child's progress bar shows on stderr; a
+    Ctrl-C here stops the child too.
 
     Returns:
         None on success, else a sentence: the reason and how to get the video later.
     """
-    child = subprocess.Popen(
-        [sys.executable, "-m", "mjcollect.render", "--run", str(run_dir), f"--samples={samples}"],
-        env=_gl_environment(os.environ),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
-    assert child.stderr is not None
-    said, shown = b"", -math.inf
-    try:
-        while chunk := os.read(child.stderr.fileno(), 65536):
-            said = (said + chunk)[-4000:]
-            # The progress bar, in a log file now and then; the reason of a failure is returned.
-            if b"\r" in chunk and (sys.stderr.isatty() or time.monotonic() - shown > LOG_SECONDS):
-                shown = time.monotonic()
-                sys.stderr.write(chunk.decode(errors="replace"))
-                sys.stderr.flush()
-        code = child.wait()
-    finally:
-        if child.poll() is None:
+    environment = gl_environment(os.environ)
+    if not sys.stderr.isatty():
+        environment["TQDM_MININTERVAL"] = LOG_SECONDS
+    reason = ""
+    with subprocess.Popen(
+        [sys.executable, "-m", "mjcollect.render", "--run", str(run_dir)],
+        env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    ) as child:  # fmt: skip
+        assert child.stderr is not None
+        try:
+            # The states of the progress bar are lines that end with \r; they are passed on.
+            for line in io.TextIOWrapper(child.stderr, errors="replace", newline=""):
+                if line.startswith(BAR):
+                    sys.stderr.write(line)
+                    sys.stderr.flush()
+                else:
+                    reason = line.strip() or reason
+        except BaseException:
             child.terminate()
-            try:
-                child.wait(timeout=10)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
-        child.stderr.close()
-    if code == 0:
+            raise
+    if child.returncode == 0:
         return None
-    lines = [line for line in said.decode(errors="replace").split("\n") if line.strip()]
-    reason = lines[-1].split("\r")[-1].strip() if lines else f"the renderer ended with code {code}"
-    return f"{reason}; then: {LATER} {run_dir}" if LATER not in reason else reason
+    reason = reason or f"the renderer ended with code {child.returncode}"
+    return reason if LATER in reason else f"{reason}; then: {LATER} {run_dir}"
 
 
-def _gl_environment(environment: Any) -> dict[str, str]:
-    """The environment with a GL backend chosen; what the user set stays."""
-    chosen = dict(environment)
-    backend = chosen.setdefault("MUJOCO_GL", "egl")
-    if backend in ("egl", "osmesa"):
-        chosen.setdefault("PYOPENGL_PLATFORM", backend)
+def gl_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """Returns the environment with a GL backend chosen; what the user set stays."""
+    chosen = {"MUJOCO_GL": "egl", **environment}
+    if chosen["MUJOCO_GL"] in ("egl", "osmesa"):
+        chosen.setdefault("PYOPENGL_PLATFORM", chosen["MUJOCO_GL"])
     return chosen
 
 
 def _check_gl() -> None:
-    """Open and close a GL context; apart from the renderer, whose own faults are no lack of GL."""
+    """Opens and closes a small renderer: the film's own faults are no lack of GL."""
     try:
         with warnings.catch_warnings(action="ignore"):
             import mujoco
 
-            context = mujoco.GLContext(16, 16)
-            context.make_current()
-            mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), 100).free()
-            context.free()
+            mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 16, 16).close()
     except Exception as error:  # every backend fails in its own way
         backend = os.environ.get("MUJOCO_GL", "(unset)")
         raise RenderError(
@@ -219,7 +208,7 @@ def _check_gl() -> None:
 
 
 def _caption(result: dict[str, Any]) -> str | None:
-    """Headline of an unsuccessful run; None if it succeeded."""
+    """Returns the headline of an unsuccessful run; None if it succeeded."""
     if result.get("success") or not result.get("violations"):
         return None
     first = result["violations"][0]
@@ -229,14 +218,3 @@ def _caption(result: dict[str, Any]) -> str | None:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split())[:200]
-
-
-def _bar(frames: Iterable[np.ndarray], total: int, shown: bool) -> Iterable[np.ndarray]:
-    if not shown:
-        return frames
-    from tqdm import tqdm
-
-    bar: Iterable[np.ndarray] = tqdm(
-        frames, total=total, desc="video", unit="frame", dynamic_ncols=True
-    )
-    return bar

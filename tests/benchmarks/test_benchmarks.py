@@ -52,7 +52,7 @@ def test_missions_of_another_shipped_policy_are_flown_anew(monkeypatch):
     """One mission each; its program is replaced."""
     flown = []
 
-    def run(scene, program, args):
+    def run(scene, order, program, args):
         flown.append(program[0])
         return dict.fromkeys(missions.SHOWN, 1.0), {"updates": []}
 

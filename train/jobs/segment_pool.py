@@ -53,16 +53,11 @@ def draw_segment(seed: int, number: int, layout: str | None = None) -> DrawnSegm
     layout = layout or str(rng.choice(LAYOUTS))
     items, obstacles = (int(rng.integers(low, high + 1)) for low, high in (ITEMS, OBSTACLES))
     scene = generate(int(rng.integers(2**62)), items, obstacles, layout)
-    scene = scaled(scene, float(rng.uniform(*SCALE)))
+    factor, fields = float(rng.uniform(*SCALE)), ("bounds", "depot", "items", "obstacles")
+    lengths = {field: np.round(getattr(scene, field) * factor, 3) for field in fields}  # whole mm
+    scene = dataclasses.replace(scene, name=f"{scene.name}_x{factor:.2f}", **lengths)
     order = plan_order(scene, "lkh")
     return DrawnSegment(scene, order, int(rng.integers(len(order) + 1)))
-
-
-def scaled(scene: Scene, factor: float) -> Scene:
-    """Returns the scene with all coordinates times a factor, rounded to millimetres."""
-    fields = ("bounds", "depot", "items", "obstacles")
-    lengths = {field: np.round(getattr(scene, field) * factor, 3) for field in fields}
-    return dataclasses.replace(scene, name=f"{scene.name}_x{factor:.2f}", **lengths)
 
 
 def build(seed: int, folder: Path, number: int) -> bool:
