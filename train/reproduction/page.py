@@ -7,6 +7,7 @@ from typing import Any
 
 from train.reproduction.paper import ORDER_NAMES, PLANNER_NAMES, Scheme, scheme_name
 from train.reproduction.tables import interval, percent
+from train.support.markdown import markdown_table
 
 Document = Mapping[str, Any]
 LAYOUTS = {"floating": "floating boxes", "city": "city", "all": "all"}
@@ -61,12 +62,6 @@ def _head(doc: Document) -> list[str]:
     return lines
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a Markdown table."""
-    lines = [f"| {' | '.join(row)} |" for row in (columns, *rows)]
-    return [lines[0], "|" + "---|" * len(columns), *lines[1:]]
-
-
 def _picture(doc: Document, shown: str, title: str) -> list[str]:
     return ["", f"![{title}]({doc['figures'][shown]})"] if shown in doc["figures"] else []
 
@@ -81,7 +76,7 @@ def _scenarios(doc: Document) -> list[str]:
             *([""] if lines else ["## Scenarios 1 and 2", ""]),
             f"### {scene}",
             "",
-            *table(columns, [_scheme(row) for row in rows]),
+            *markdown_table(columns, [_scheme(row) for row in rows]),
             "",
             f"Bounds of all its orders: {spread['best']:.1f} to {spread['worst']:.1f} s, on "
             f"average {spread['mean']:.1f} s; {percent(spread['share_as_long'])} of them are at "
@@ -135,7 +130,7 @@ def _sweep(doc: Document) -> list[str]:
         "The first K items of the bundled sweep_8; at K = 4 it is scenario 2. One training seed. "
         "In brackets the bound of the order flown.",
         "",
-        *table(["scheme", *(f"K = {entry['items']}" for entry in entries)], lines),
+        *markdown_table(["scheme", *(f"K = {entry['items']}" for entry in entries)], lines),
         *_picture(doc, "sweep", "Time against K"),
     ]
 
@@ -161,7 +156,7 @@ def _random(doc: Document) -> list[str]:
         f"`mjcollect.generate` (seeds from {sizes['first_scene']}), K = {sizes['items']}, one "
         "training seed, one random order a scene.",
         "",
-        *table(columns, [_group(row) for row in rows]),
+        *markdown_table(columns, [_group(row) for row in rows]),
         *_picture(doc, "ablation", "Orders and planners"),
     ]
 
@@ -212,7 +207,7 @@ def _savings(doc: Document) -> list[str]:
         "Share of the second's time that the first saves in the same random scene; negative: it "
         "takes longer.",
         "",
-        *table(columns, rows),
+        *markdown_table(columns, rows),
     ]
 
 
@@ -231,7 +226,7 @@ def _orders(doc: Document) -> list[str]:
         "without those with items nearer than 20 m to each other or the depot), nothing flown: "
         "straight legs, a random order against the best one.",
         "",
-        *table(["K", "random / best", "mean saving", "5th to 95th percentile"], rows),
+        *markdown_table(["K", "random / best", "mean saving", "5th to 95th percentile"], rows),
         "",
         f"At K = 8, {percent(orders['share_paper_saving'], 2)} of the instances save the paper's "
         f"{percent(orders['paper_saving'])} or more. From K = 6 to 8 the best order's time rises "
