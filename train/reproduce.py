@@ -36,7 +36,7 @@ from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.run_folder import RunError, RunFolder
 
 QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, first_scene=7001)
-QUICK_TRAINING = ("--updates", "300", "--extra-updates", "0", "--retries", "0")
+QUICK_TRAINING = ("--updates", "1500", "--extra-updates", "0", "--retries", "0")
 OUTPUTS = ("cells", "scenes", "config.json", "command.txt", "orders.json", "machines.json",
            "results.json", "reproduction.md")  # fmt: skip
 CELL_NAME = re.compile(rf"(.+)-({'|'.join(PLANNERS)})-([a-z0-9.]+)(?:-seed(\d+))?", re.ASCII)
