@@ -61,8 +61,9 @@ def cache_folders(file: str) -> tuple[Path, ...]:
     return (_PACKAGE / "__pycache__" / name, Path(user_cache_dir("numba")) / name)
 
 
+@cache  # They are asked for once for each file with compiled functions, whenever mjcollect starts.
 def _files_with_kernels() -> list[Path]:
-    return [path for path in _PACKAGE.rglob("*.py") if b"@compiled" in path.read_bytes()]
+    return [path for path in _PACKAGE.glob("*/*.py") if b"@compiled" in path.read_bytes()]
 
 
 def digest(sources: Iterable[Path]) -> str:

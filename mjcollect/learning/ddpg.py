@@ -94,6 +94,13 @@ def transitions(step: TensorDictBase) -> TensorDict:
     return step.select(*KEYS).reshape(-1)
 
 
+def perturbed(
+    action: torch.Tensor, noise: float | torch.Tensor, generator: torch.Generator
+) -> torch.Tensor:
+    """Returns actions (N, 3) with Gaussian noise of a standard deviation or several, in [-1, 1]."""
+    return (action + torch.randn(action.shape, generator=generator) * noise).clamp(-1.0, 1.0)
+
+
 def make_optimizer(kind: str, parameters: Any) -> torch.optim.Optimizer:
     """Returns Adam, or for `sgd` the plain gradient steps of Algorithm 1.
 
@@ -271,8 +278,7 @@ def _operate(
 ) -> TensorDictBase:  # fmt: skip
     """Flies A = pi(S; theta) + noise for a slot, puts {S, A, R, S', D'} into D, returns S'."""
     step = learner.actor(now)
-    drawn = torch.randn(step["action"].shape, generator=generator) * noise
-    step["action"] = (step["action"] + drawn).clamp(-1.0, 1.0)
+    step["action"] = perturbed(step["action"], noise, generator)
     step, after = env.step_and_maybe_reset(step)
     buffer.extend(transitions(step))
     return after

@@ -16,7 +16,7 @@ from mjcollect.envs.batch import BatchedFlightEnv, Fleet, Simulations
 from mjcollect.envs.course import Course
 from mjcollect.flight.disturbance import Disturbances
 from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.ddpg import make_buffer, transitions
+from mjcollect.learning.ddpg import make_buffer, perturbed, transitions
 from mjcollect.learning.evaluation import Evaluation, Evaluator
 from mjcollect.learning.fast_ddpg import LEARNERS
 from mjcollect.learning.policy import TrainedPolicy
@@ -142,8 +142,7 @@ class Trainer:
             step = self.learner.actor(self._now)
             action = step["action"].cpu()
             action = torch.where(guided[:, None], law, action) if guided.any() else action
-        noise = torch.randn(action.shape, generator=self.noise) * self._scale
-        step["action"] = (action + noise).clamp(-1.0, 1.0).to(self.device)
+        step["action"] = perturbed(action, self._scale, self.noise).to(self.device)
         step, self._now = self.env.step_and_maybe_reset(step)
         self.buffer.extend(transitions(step).cpu())
         self.env_steps += self.config.envs

@@ -29,6 +29,12 @@ def outer(x):
 """
 
 
+def forget() -> None:
+    """What a process has read of the files so far."""
+    compiled.cache_folders.cache_clear()
+    compiled._files_with_kernels.cache_clear()
+
+
 @pytest.fixture
 def package(tmp_path, monkeypatch) -> Path:
     """Stands for the package's folder: two kernels in two files, and a cache of the user's."""
@@ -39,14 +45,14 @@ def package(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(compiled, "_PACKAGE", package)
     monkeypatch.setattr(compiled, "user_cache_dir", lambda name: str(tmp_path / "user" / name))
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    compiled.cache_folders.cache_clear()
+    forget()
     yield package
-    compiled.cache_folders.cache_clear()
+    forget()
 
 
 def fresh(package: Path, monkeypatch) -> Callable[[int], int]:
     """The kernel `outer` as a new process has it."""
-    compiled.cache_folders.cache_clear()
+    forget()
     for name in ("inner", "outer"):
         file = package / "kernels" / f"{name}.py"
         spec = importlib.util.spec_from_file_location(f"two_kernels_{name}", file)
@@ -78,7 +84,7 @@ def test_the_folder_follows_every_kernel_and_the_own_file(package, tmp_path):
     other.write_text("")
 
     def folder(file=kernel):
-        compiled.cache_folders.cache_clear()
+        forget()
         return compiled.cache_folders(str(file))[0]
 
     seen = [folder()]
