@@ -23,12 +23,13 @@ import numpy as np
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
-from mjcollect.envs.recording import Flight, fly, fly_law, record
+from mjcollect.envs.recording import Flight, fly, fly_law
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import SHIPPED
 from mjcollect.learning.trainer import segment_trainer
-from mjcollect.planners.mpc import fly_mpc
+from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.plan import fly_planner
 from mjcollect.planners.reference.reference import Reference
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
@@ -55,8 +56,8 @@ def flight(name: str, pilot: str) -> Entry:
     course = Course.mission(Scene.find(name), plan_order(Scene.find(name), "lkh"))
     flown = {
         "law": fly_law,
-        "mpc": lambda c: fly_mpc(c)[0],
-        "reference": _reference,
+        "mpc": lambda course: fly_planner(course, Mpc(course)),
+        "reference": lambda course: fly_planner(course, Reference(course)),
         "policy": _shipped,
     }
     made: Flight = flown[pilot](course)
@@ -65,11 +66,6 @@ def flight(name: str, pilot: str) -> Entry:
         "arrivals": list(made.arrivals),
         "success": made.success,
     }
-
-
-def _reference(course: Course) -> Flight:
-    planner = Reference(course)
-    return record(course, lambda _, task: planner.action(task.episodes))
 
 
 def _shipped(course: Course) -> Flight:

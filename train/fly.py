@@ -17,23 +17,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.recording import Flight, fly, fly_law, record
+from mjcollect.envs.recording import fly, fly_law
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
-from mjcollect.planners.mpc import fly_mpc
+from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.plan import Planner, fly_planner
 from mjcollect.planners.reference.reference import NoFlight, Reference
 from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.scene import Scene
 from train import segment
 from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
-from train.support.mission_report import (
-    mission_result,
-    outcome,
-    report,
-    write_flight,
-    write_learning,
-)
+from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
 from train.support.starting_policy import check_size, start_from
@@ -101,7 +96,7 @@ def fly_mission(args: Args) -> int:
     training_results: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
-        segments = [RunFolder(args.run / "segments" / str(k)) for k in range(len(order) + 1)]
+        segments = [RunFolder(args.run).segment(k) for k in range(len(order) + 1)]
         by_policy = args.planner == "policy"  # Other pilots do not depend on the training.
         training_results = [
             own.read_json("segment.json") if by_policy else None for own in segments
@@ -131,10 +126,19 @@ def fly_mission(args: Args) -> int:
     course = Course.mission(scene, order, args.guidance_cache)
     if args.guidance_cache is not None:
         course.save_guidance(args.guidance_cache)
+    planner: Planner | None = None
     notes: list[str] = []
-    if args.policy is not None and policy is not None:
+    if policy is not None:
         check_size(policy, course)
-        folder.create(config, scene, overwrite=args.overwrite)
+    elif args.planner == "policy":
+        policies = [_load(own.path / "policy.pt") for own in segments]
+    elif args.planner == "mpc":
+        planner = Mpc(course)
+    elif args.planner == "reference":
+        planner, seconds = _planned(course)
+        notes.append(f"Planned in {seconds:.1f} s.")
+    folder.create(config, scene, overwrite=args.overwrite)
+    if policy is not None:
         try:
             train = partial(_train, args, course, order, folder, seed, shield)
             repaired = fly_and_repair(
@@ -145,27 +149,20 @@ def fly_mission(args: Args) -> int:
             return INTERRUPTED
         flight, training_results, notes = repaired.flight, repaired.trained, repaired.notes
         args = replace(args, planner=repaired.planner)
-        for note in notes:
-            say(note)
+    elif planner is not None:
+        flight = fly_planner(course, planner)
+        notes.append(planner.summary())
     elif args.planner == "policy":
-        policies = [_load(own.path / "policy.pt") for own in segments]
-        folder.create(config, scene, overwrite=args.overwrite)
         flight = fly(course, policies, policies[0].observation, shield=shield)
-    elif args.planner == "mpc":
-        folder.create(config, scene, overwrite=args.overwrite)
-        flight, how = fly_mpc(course)
-        notes.append(how)
-        say(how)
-    elif args.planner == "reference":
-        reference, seconds = _planned(course)
-        folder.create(config, scene, overwrite=args.overwrite)
-        flight = record(course, lambda _, task: reference.action(task.episodes))
-        notes.append(f"Planned in {seconds:.1f} s. {reference.summary()}")
-        say(notes[0])
     else:
-        folder.create(config, scene, overwrite=args.overwrite)
         flight = fly_law(course, shield=shield)
-    return _finish(folder, course, order, method, flight, training_results, seed, args, notes)
+    for note in notes:
+        say(note)
+    result = mission_result(course, order, method, flight, training_results, seed)
+    result["planner"] = args.planner
+    write_mission(folder, scene, result, flight, plots=args.plots)
+    folder.unlock()
+    return finish(folder, [folder.path / "mission.mp4"] if args.video else [], args.plots, notes)
 
 
 def _train(
@@ -178,7 +175,7 @@ def _train(
         Stopped: Ctrl-C ended the training.
     """
     assert args.policy is not None
-    own = RunFolder(folder.path / "segments" / str(index))
+    own = folder.segment(index)
     learn = LearnConfig(
         updates=args.finetune,
         extra_updates=0,
@@ -213,9 +210,7 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
             f"--run: {args.run}: holds no mission.json; name the folder of a finished mission"
         )
     scene = Scene.load(args.run / "scene.json")
-    others = [
-        (args.run / "segments" / str(k) / "scene.json") for k in range(len(result["segments"]))
-    ]
+    others = [run.segment(k).path / "scene.json" for k in range(len(result["segments"]))]
     given = [("--scene", Scene.find(args.scene))] if args.scene is not None else []
     for name, other in given + [(str(path), Scene.load(path)) for path in others]:
         if difference := scene_difference(scene, other):
@@ -268,41 +263,6 @@ def _load(path: Path) -> TrainedPolicy:
     if not path.is_file():
         raise RunError(f"--run: {path}: is missing; the run is not finished")
     return TrainedPolicy.load(path)
-
-
-def _finish(
-    folder: RunFolder,
-    course: Course,
-    order: tuple[int, ...],
-    method: str,
-    flight: Flight,
-    training_results: Sequence[dict[str, Any] | None],
-    seed: int,
-    args: Args,
-    notes: Sequence[str],
-) -> int:
-    """Verifies the flight, writes everything, prints the result; returns 0 for success, else 1."""
-    result = mission_result(course, order, method, flight, training_results, seed)
-    result["planner"] = args.planner
-    write_flight(folder, course, order, flight, plots=args.plots)
-    if args.plots:
-        write_learning(folder, len(training_results))
-    folder.write_json("mission.json", result)
-    folder.unlock()
-
-    def write_report() -> None:
-        folder.write_text("report.md", report(folder, course.scene, result, args.plots, notes))
-
-    write_report()  # This comes before the video, which takes long and may be stopped.
-    if args.video:
-        from mjcollect.render.video import render_in_child
-
-        reason = render_in_child(folder.path)
-        if reason:
-            say(f"no video: {reason}")
-        write_report()  # Now it links to the video.
-    print(outcome(result, folder.path))
-    return 0 if result["success"] else 1
 
 
 if __name__ == "__main__":

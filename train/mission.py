@@ -35,13 +35,7 @@ from train.jobs.workers import (
 from train.support.arguments import TrainingArgs, check_device, check_least
 from train.support.command_line import INTERRUPTED, run_program, say, stop_on_ctrl_c
 from train.support.mission_display import MissionDisplay
-from train.support.mission_report import (
-    mission_result,
-    outcome,
-    report,
-    write_flight,
-    write_learning,
-)
+from train.support.mission_report import finish, mission_result, write_mission
 from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder
 from train.support.starting_policy import check_size, start_from
@@ -111,7 +105,7 @@ def train_mission(args: Args) -> int:
     )
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("mission.json") is not None:
-        return _finish(folder, args)
+        return _finish(folder, args, len(order) + 1)
     if args.resume:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
@@ -130,22 +124,19 @@ def train_mission(args: Args) -> int:
         if not _learn(args, folder, scene, order):
             say("stopped, saved; go on with --resume")
             return INTERRUPTED
-        segments = [_segment_folder(folder, index) for index in range(len(order) + 1)]
+        segments = [folder.segment(index) for index in range(len(order) + 1)]
         policies = [TrainedPolicy.load(segment.path / "policy.pt") for segment in segments]
         flight = fly(course, policies, args.learn.observation, shield=args.learn.shield)
         training_results = [segment.read_json("segment.json") for segment in segments]
         result = mission_result(course, order, method, flight, training_results, args.seed)
-        write_flight(folder, course, order, flight, plots=args.plots)
-        if args.plots:
-            write_learning(folder, len(segments))
-        folder.write_json("mission.json", result)
+        write_mission(folder, scene, result, flight, plots=args.plots)
         shutil.rmtree(guidance, ignore_errors=True)
     except TrainingError as error:
         say(f"error: {error}; when mended, go on with --resume")
         return 1
     finally:
         folder.unlock()
-    return _finish(folder, args)
+    return _finish(folder, args, len(order) + 1)
 
 
 def _check(args: Args) -> None:
@@ -177,10 +168,6 @@ def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
     return dataclasses.replace(args, learn=learn), policy
 
 
-def _segment_folder(folder: RunFolder, index: int) -> RunFolder:
-    return RunFolder(folder.path / "segments" / str(index))
-
-
 def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) -> bool:
     """Trains every segment that is not trained yet; returns False if Ctrl-C stopped it.
 
@@ -190,7 +177,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
 
     def job(index: int) -> Job | None:
         """Returns the next training of a segment, or None if it needs no more."""
-        segment = _segment_folder(folder, index)
+        segment = folder.segment(index)
         if (result := segment.read_json("segment.json")) is not None and _perfect(result):
             return None
         tried = _attempts(folder, index)
@@ -222,9 +209,9 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
         display.finished(index)
         return job(index)
 
-    display = MissionDisplay(folder.path, scene, order, args.learn.updates)
+    display = MissionDisplay(folder, scene, order, args.learn.updates)
     opened = open_workers(args.workers, ray=args.ray is not None)
-    with stop_on_ctrl_c() as stopped, display, opened as workers:
+    with stop_on_ctrl_c() as stopped, display.shown(), opened as workers:
         jobs = [found for index in range(len(order) + 1) if (found := job(index))]
         return run_jobs(workers, jobs, retry, stopped)
 
@@ -248,7 +235,7 @@ def _attempts(folder: RunFolder, index: int) -> list[Path]:
 def _set_aside(folder: RunFolder, index: int, number: int) -> None:
     """Moves a training away to repeat it with another seed, atomically by one rename."""
     (folder.path / "attempts").mkdir(exist_ok=True)
-    os.rename(_segment_folder(folder, index).path, folder.path / "attempts" / f"{index}-{number}")
+    os.rename(folder.segment(index).path, folder.path / "attempts" / f"{index}-{number}")
 
 
 def _keep_best(folder: RunFolder, index: int) -> None:
@@ -259,7 +246,7 @@ def _keep_best(folder: RunFolder, index: int) -> None:
         time = result.get("time") or float("inf")
         return (result.get("success", False), result.get("success_rate", 0.0), -time)
 
-    segment = _segment_folder(folder, index).path
+    segment = folder.segment(index).path
     tried = _attempts(folder, index)
     # The segment's own comes first and stays unless others are better, so a repetition is harmless.
     best = max([segment, *tried] if segment.exists() else tried, key=rank)
@@ -274,7 +261,7 @@ def _notes(folder: RunFolder, segments: int) -> list[str]:
     notes = []
     for index in range(segments):
         if tried := _attempts(folder, index):
-            result = _segment_folder(folder, index).read_json("segment.json") or {}
+            result = folder.segment(index).read_json("segment.json") or {}
             notes.append(
                 f"Segment {index} was trained {len(tried) + 1} times with different seeds; the "
                 f"policy kept arrives from {result.get('success_rate', 0.0):.0%} of the starts."
@@ -282,36 +269,14 @@ def _notes(folder: RunFolder, segments: int) -> list[str]:
     return notes
 
 
-def _film(folder: RunFolder, items: int) -> None:
-    """Renders the missing videos: the mission's, and those of segments stopped before theirs."""
-    from mjcollect.render.video import render_in_child
-
-    wanted = [(folder.path, "mission.mp4")]
-    if items <= MOST_SEGMENT_VIDEOS:
-        segments = (_segment_folder(folder, index) for index in range(items + 1))
-        wanted += [(segment.path, "segment.mp4") for segment in segments]
-    for path, name in wanted:
-        if not (path / name).is_file() and (reason := render_in_child(path)):
-            say(f"no video: {reason}")
-            return
-
-
-def _finish(folder: RunFolder, args: Args) -> int:
+def _finish(folder: RunFolder, args: Args, segments: int) -> int:
     """Renders missing videos, writes the report, prints the result; returns 0 for success."""
-    result = folder.read_json("mission.json")
-    assert result is not None
-    notes = _notes(folder, len(result["segments"]))
-    scene = Scene.load(folder.path / "scene.json")
-
-    def write_report() -> None:
-        folder.write_text("report.md", report(folder, scene, result, args.plots, notes))
-
-    write_report()  # This comes before the videos, which take long and may be stopped.
+    videos = []
     if args.video:
-        _film(folder, len(result["order"]))
-        write_report()  # Now it links to the videos.
-    print(outcome(result, folder.path))
-    return 0 if result["success"] else 1
+        videos = [folder.path / "mission.mp4"]
+        if segments <= MOST_SEGMENT_VIDEOS + 1:  # Some may have been stopped before theirs.
+            videos += [folder.segment(k).path / "segment.mp4" for k in range(segments)]
+    return finish(folder, videos, args.plots, _notes(folder, segments))
 
 
 if __name__ == "__main__":

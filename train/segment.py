@@ -17,14 +17,18 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
 from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest
 from mjcollect.learning.trainer import Trainer, segment_trainer
-from mjcollect.planners.mpc import fly_mpc
+from mjcollect.planners.mpc import Mpc
+from mjcollect.planners.plan import fly_planner
+from mjcollect.render.arrivals import progress
+from mjcollect.render.path_figures import plot_path_3d, plot_path_top
+from mjcollect.render.time_figures import plot_learning
 from mjcollect.scene.bounds import detour_bound, segment_bound
 from mjcollect.scene.order import first_blocked, node_name, plan_order, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
 from train.support.arguments import TrainingArgs, check_device, check_least
 from train.support.command_line import INTERRUPTED, run_program, say
-from train.support.mission_report import write_record
+from train.support.mission_report import film, write_record
 from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder, versions
 from train.support.starting_policy import check_size, start_from
@@ -154,16 +158,12 @@ def _finish(
     folder.write("policy.pt", policy.save)
     write_record(folder, flight)
     if plots:
-        from mjcollect.render.path_figures import plot_path_3d, plot_path_top
-        from mjcollect.render.time_figures import plot_learning
-
-        ways = (scene, flight.trajectory, order, index, course.guidance[0].path)
-        folder.write("path_3d.png", lambda part: plot_path_3d(part, *ways))
-        folder.write("path_top.png", lambda part: plot_path_top(part, *ways))
-        metrics = {name: [row[name] for row in trainer.rows] for name in trainer.rows[0]}
+        flown, way = progress(scene, flight.trajectory, order, index), course.guidance[0].path
+        folder.write("path_3d.png", lambda part: plot_path_3d(part, flown, way))
+        folder.write("path_top.png", lambda part: plot_path_top(part, flown, way))
         folder.write(
             "learning.png",
-            lambda part: plot_learning(part, metrics, bound=bound, detour=detour, **rivals),
+            lambda part: plot_learning(part, trainer.rows, bound=bound, detour=detour, **rivals),
         )
     folder.write_json(
         "segment.json",
@@ -199,7 +199,7 @@ def _finish(
 
 def _mpc_time(course: Course, order: tuple[int, ...], index: int) -> float | None:
     """Returns the MPC's time (s) from the segment's own start point, or None if it fails."""
-    flight, _ = fly_mpc(course)
+    flight = fly_planner(course, Mpc(course))
     fails = not flight.success or verify(course.scene, flight.trajectory, order, segment=index)
     return None if fails else flight.trajectory.duration
 
@@ -213,12 +213,8 @@ def _report(folder: RunFolder, video: bool) -> int:
     """Renders a missing video and prints the result; returns 0 for success, else 1."""
     result = folder.read_json("segment.json")
     assert result is not None
-    if video and not (folder.path / "segment.mp4").is_file():
-        from mjcollect.render.video import render_in_child
-
-        reason = render_in_child(folder.path)
-        if reason:
-            say(f"no video: {reason}")
+    if video:
+        film(folder.path / "segment.mp4")
     where = f"{_legend(result['order'], result['segment'])}, {os.path.relpath(folder.path)}"
     if result["success"]:
         ratio = "" if result["ratio"] is None else f" ({result['ratio']:.3f} of the lower bound)"

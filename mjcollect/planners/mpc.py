@@ -17,7 +17,6 @@ import numpy as np
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Episodes
-from mjcollect.envs.recording import Flight, record
 from mjcollect.flight.straight_line import time_to_go
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import segment_clear
@@ -109,7 +108,7 @@ class Mpc:
 
     def action(self, episodes: Episodes) -> Array:
         """Returns the action (3,) in units of a_max, of norm <= 1, for the one episode."""
-        q, v, target = episodes.q[0], episodes.v[0], int(episodes.target[0])
+        q, v, target = episodes.q[0], episodes.seen_v[0], int(episodes.target[0])
         plan = self.plan(q, v, target)
         if plan is None:
             self.counts["law"] += 1
@@ -292,9 +291,3 @@ def _along(path: Array, point: Array) -> float:
     distance = np.linalg.norm(path[:-1] + share[:, None] * step - point, axis=1)
     nearest = int(distance.argmin())
     return float(length[:nearest].sum() + share[nearest] * length[nearest])
-
-
-def fly_mpc(course: Course) -> tuple[Flight, str]:
-    """Flies `course` with a new MPC, without the shield; returns the flight and a summary."""
-    planner = Mpc(course)
-    return record(course, lambda _, task: planner.action(task.episodes)), planner.summary()

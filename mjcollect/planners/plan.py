@@ -1,15 +1,34 @@
-"""Defines a plan for the next slots, and checks that the rules of flight let it be flown."""
+"""Defines planners, their plans for the next slots, and which plans can be flown."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Episodes
+from mjcollect.envs.recording import Flight, record
 from mjcollect.flight.contact import contacts, leaves_bounds
 from mjcollect.flight.straight_line import roll_out
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
+
+
+class Planner(Protocol):
+    """Is a pilot that plans, for one episode."""
+
+    def action(self, episodes: Episodes) -> Array:
+        """Returns the action (3,) in units of a_max, of norm <= 1, for the next slot."""
+
+    def summary(self) -> str:
+        """Returns a sentence that says how the decisions were made."""
+
+
+def fly_planner(course: Course, planner: Planner) -> Flight:
+    """Flies `course` from rest exactly at its start by a planner, without the shield."""
+    return record(course, lambda _, task: planner.action(task.episodes))
 
 
 @dataclass(frozen=True)

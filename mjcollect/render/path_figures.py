@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +18,12 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
-from mjcollect.render.arrivals import Progress, progress
+from mjcollect.render.arrivals import Progress
 from mjcollect.render.overlay import SPEED_MAP
 from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, flight_title, save
 from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
 
 MOST_PIECES = 1500  # More pieces of a path cannot be told apart, and take long to draw.
 GUIDANCE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 3)), "linewidth": 1.2}
@@ -42,30 +41,21 @@ BOX_FACES = np.array(
 )
 
 
-def plot_path_3d(
-    path: str | os.PathLike[str],
-    scene: Scene,
-    trajectory: Trajectory,
-    order: Sequence[int],
-    segment: int | None = None,
-    guidance_path: Array | None = None,
-) -> Figure:
+def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None) -> Figure:
     """Draws the flown path among the boxes in three dimensions, coloured by speed.
 
     Args:
         path: PNG to write, 1440 by 1200 pixels.
-        scene, trajectory, order: what was flown.
-        segment: 0..K to show one segment from near; None for the mission.
+        done: what was flown; a segment is shown from near.
         guidance_path: (N, 3) shortest path, drawn dashed.
 
     Returns:
         The figure, also written to `path`.
     """
-    done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
     axes: Any = figure.add_axes((0.0, 0.02, 0.86, 0.93), projection="3d", computed_zorder=False)
     low, high = _window(done, guidance_path)
-    inside = np.clip(scene.obstacles, low, high)
+    inside = np.clip(done.scene.obstacles, low, high)
     draw_boxes_3d(axes, inside[np.all(inside[:, 1] > inside[:, 0], axis=-1)])
     pieces, by_speed = _pieces(done)
     shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
@@ -82,7 +72,7 @@ def plot_path_3d(
         axes.scatter(*point, depthshade=False, **style)
         above = point + (high - low) * [0, 0, 0.025]
         axes.text(*above, label, ha="center", va="bottom", zorder=8, **TEXT)
-    axes.scatter(*trajectory.x[-1], depthshade=False, **END)
+    axes.scatter(*done.trajectory.x[-1], depthshade=False, **END)
     for name, least, most in zip("xyz", low, high, strict=True):
         getattr(axes, f"set_{name}lim")(least, most)
         getattr(axes, f"set_{name}label")(f"{name} (m)", labelpad=9, **LABEL)
@@ -92,23 +82,15 @@ def plot_path_3d(
     return _finish(figure, path, done, by_speed, guidance_path is not None)
 
 
-def plot_path_top(
-    path: str | os.PathLike[str],
-    scene: Scene,
-    trajectory: Trajectory,
-    order: Sequence[int],
-    segment: int | None = None,
-    guidance_path: Array | None = None,
-) -> Figure:
+def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None) -> Figure:
     """Draws the same from above: boxes shaded by the height of their tops, arrows along the path.
 
     See `plot_path_3d` for the arguments.
     """
-    done = progress(scene, trajectory, order, segment)
     figure = new_figure(12, 10)
     axes: Any = figure.add_axes((0.075, 0.085, 0.76, 0.83))
     low, high = (corner[:2] for corner in _window(done, guidance_path))
-    draw_boxes_top(axes, scene)
+    draw_boxes_top(axes, done.scene)
     _box_heights(axes, done, low, high)
     pieces, by_speed = _pieces(done)
     flat = list(pieces[..., :2])
@@ -129,7 +111,7 @@ def plot_path_top(
             textcoords="offset points", ha=across, va="bottom" if above else "top", zorder=8,
             **TEXT,
         )  # fmt: skip
-    axes.scatter(*trajectory.x[-1, :2], clip_on=False, **END)
+    axes.scatter(*done.trajectory.x[-1, :2], clip_on=False, **END)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_xlabel("x (m)", **LABEL)
     axes.set_ylabel("y (m)", **LABEL)
@@ -252,9 +234,8 @@ def _arrows(axes: Any, done: Progress) -> None:
 
 
 def _finish(
-    figure: Figure, path: str | os.PathLike[str], done: Progress, by_speed: dict[str, Any],
-    guidance: bool,
-) -> Figure:  # fmt: skip
+    figure: Figure, path: Path, done: Progress, by_speed: dict[str, Any], guidance: bool
+) -> Figure:
     """Adds title, colour bar and legend outside of the data; then writes the file."""
     figure.suptitle(flight_title(done), fontsize=15, x=0.5, y=0.972)
     scale = ScalarMappable(by_speed["norm"], by_speed["cmap"])

@@ -5,9 +5,9 @@ Figures are made without pyplot, so that no global matplotlib state is touched.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -16,10 +16,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.arrivals import Progress, progress
+from mjcollect.render.arrivals import Progress
 from mjcollect.scene.order import DEPOT, node_name
-from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
 
 DPI = 120
 # This is Okabe and Ito's palette, which the colour-blind can tell apart.
@@ -53,7 +51,7 @@ def figure(width: float, height: float) -> Figure:
     return made
 
 
-def save(made: Figure, path: str | os.PathLike[str]) -> None:
+def save(made: Figure, path: Path) -> None:
     """Writes a figure as a PNG file, whatever the path's suffix."""
     made.savefig(path, format="png", dpi=DPI)
 
@@ -69,19 +67,17 @@ def flight_title(done: Progress) -> str:
     return f"{name}, {what}: {flown.duration:.2f} s, {flown.length:.0f} m{ended}"
 
 
-def plot_speed(
-    path: str | os.PathLike[str], scene: Scene, trajectory: Trajectory, order: Sequence[int]
-) -> Figure:
+def plot_speed(path: Path, done: Progress) -> Figure:
     """Draws a mission's speed and acceleration over time against their limits, with its stops.
 
     Args:
         path: PNG to write, 1440 by 840 pixels.
-        scene, trajectory, order: what was flown.
+        done: what was flown.
 
     Returns:
         The figure, also written to `path`.
     """
-    made = figure(12, 7)
+    made, scene, trajectory = figure(12, 7), done.scene, done.trajectory
     upper, lower = made.subplots(2, 1, sharex=True)
     series = (
         (upper, trajectory.v, scene.v_max, "speed (m/s)", BLUE),
@@ -100,7 +96,6 @@ def plot_speed(
         _plain(axes)
     if trajectory.duration > 0:
         lower.set_xlim(trajectory.t[0], trajectory.t[-1])
-    done = progress(scene, trajectory, order)
     for index, (node, row) in enumerate(zip(done.targets, done.rows, strict=False)):
         for axes in (upper, lower):
             axes.axvline(trajectory.t[row], color="#777777", linestyle=":", linewidth=1.1)
@@ -118,8 +113,8 @@ def plot_speed(
 
 
 def plot_learning(
-    path: str | os.PathLike[str],
-    metrics: Mapping[str, Sequence[float]],
+    path: Path,
+    rows: Sequence[Mapping[str, float]],
     *,
     bound: float | None = None,
     detour: float | None = None,
@@ -130,7 +125,7 @@ def plot_learning(
 
     Args:
         path: PNG to write, 1440 by 1080 pixels.
-        metrics: columns of metrics.csv, with NaN for what was not measured: env_steps, and those
+        rows: rows of metrics.csv, with NaN for what was not measured: env_steps, and the columns
             of `CURVES` as far as they are there. With a column `segment`, every segment gets its
             own line, of the columns `BY_SEGMENT`.
         bound, detour, law_time, mpc_time: seconds of lower bound, detour time, and flights of the
@@ -139,7 +134,7 @@ def plot_learning(
     Returns:
         The figure, also written to `path`.
     """
-    columns = {name: np.asarray(values, dtype=float) for name, values in metrics.items()}
+    columns = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
     made = figure(12, 9)
     grid: Any = made.subplots(2, 2, sharex=True)
     for axes in grid.flat:

@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection, Text3
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from PIL import Image
 
+from mjcollect.render.arrivals import progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.scene.scene import Scene
@@ -90,7 +91,7 @@ def texts_of(figure: Figure, panel: int = 0) -> str:
 def test_path_3d_shows_boxes_items_and_the_path_by_speed(
     scene: Scene, flown: Trajectory, tmp_path: Path
 ) -> None:
-    figure = plot_path_3d(tmp_path / "a.png", scene, flown, ORDER)
+    figure = plot_path_3d(tmp_path / "a.png", progress(scene, flown, ORDER))
     check_png(tmp_path / "a.png", 1440, 1200)
     check_texts_are_on_the_page(figure)
     axes = figure.axes[0]
@@ -126,7 +127,7 @@ def test_path_3d_shows_boxes_items_and_the_path_by_speed(
 def test_a_segment_fills_a_cube_that_holds_both_ends(scene: Scene, tmp_path: Path) -> None:
     flown = mission(scene, [1, 0])
     guidance = np.array([ITEMS[1], [400, 350, 260], ITEMS[0]], dtype=float)
-    figure = plot_path_3d(tmp_path / "a.png", scene, flown, ORDER, 1, guidance)
+    figure = plot_path_3d(tmp_path / "a.png", progress(scene, flown, ORDER, 1), guidance)
     check_texts_are_on_the_page(figure)
     axes = figure.axes[0]
     limits = np.array([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])
@@ -148,7 +149,7 @@ def test_a_segment_fills_a_cube_that_holds_both_ends(scene: Scene, tmp_path: Pat
 def test_path_top_is_to_scale_with_an_arrow_a_segment(
     scene: Scene, flown: Trajectory, tmp_path: Path
 ) -> None:
-    figure = plot_path_top(tmp_path / "a.png", scene, flown, ORDER)
+    figure = plot_path_top(tmp_path / "a.png", progress(scene, flown, ORDER))
     check_png(tmp_path / "a.png", 1440, 1200)
     check_texts_are_on_the_page(figure)
     axes = figure.axes[0]
@@ -181,7 +182,7 @@ def test_a_flight_that_ended_early_says_so(scene: Scene, tmp_path: Path) -> None
     one = Trajectory(*(column[:1] for column in (whole.t, whole.x, whole.v, whole.a)))
     for plot in (plot_path_3d, plot_path_top, plot_speed):
         for flown in (part, one):
-            figure = plot(tmp_path / "a.png", scene, flown, ORDER)
+            figure = plot(tmp_path / "a.png", progress(scene, flown, ORDER))
             assert "not completed" in figure.get_suptitle()
             check_texts_are_on_the_page(figure)
 
@@ -189,7 +190,7 @@ def test_a_flight_that_ended_early_says_so(scene: Scene, tmp_path: Path) -> None
 def test_speed_and_acceleration_against_their_limits(
     scene: Scene, flown: Trajectory, tmp_path: Path
 ) -> None:
-    figure = plot_speed(tmp_path / "a.png", scene, flown, ORDER)
+    figure = plot_speed(tmp_path / "a.png", progress(scene, flown, ORDER))
     check_png(tmp_path / "a.png", 1440, 840)
     check_texts_are_on_the_page(figure)
     parts = ((flown.v, scene.v_max), (flown.a, scene.a_max))
@@ -216,8 +217,12 @@ def metrics() -> dict:
     }
 
 
+def rows_of(columns: dict) -> list[dict]:
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
 def test_learning_draws_what_is_there_and_bridges_gaps(tmp_path: Path) -> None:
-    figure = plot_learning(tmp_path / "a.png", metrics(), bound=12.2, detour=12.4)
+    figure = plot_learning(tmp_path / "a.png", rows_of(metrics()), bound=12.2, detour=12.4)
     check_png(tmp_path / "a.png", 1440, 1080)
     check_texts_are_on_the_page(figure)
     curves = {line.get_label(): line for axes in figure.axes for line in axes.lines}
@@ -248,7 +253,7 @@ def test_learning_of_a_mission_has_a_line_a_segment(tmp_path: Path) -> None:
     both = {name: [*values, *values] for name, values in one.items()}
     both["segment"] = [0] * 4 + [1] * 4
     both["eval_success_rate"][4:] = [0.5, 0.6, 0.7, 0.8]
-    figure = plot_learning(tmp_path / "a.png", both)
+    figure = plot_learning(tmp_path / "a.png", rows_of(both))
     lines = figure.axes[1].lines
     assert [line.get_label() for line in lines] == ["segment 0", "segment 1"]
     np.testing.assert_allclose(lines[1].get_ydata(), [0.5, 0.6, 0.7, 0.8])
@@ -257,9 +262,9 @@ def test_learning_of_a_mission_has_a_line_a_segment(tmp_path: Path) -> None:
 
 def test_learning_with_next_to_nothing(tmp_path: Path) -> None:
     columns = {"env_steps": [0, 10], "eval_actor_time": [float("nan")] * 2}
-    figure = plot_learning(tmp_path / "a.png", columns, bound=3.0)
+    figure = plot_learning(tmp_path / "a.png", rows_of(columns), bound=3.0)
     assert [len(axes.lines) for axes in figure.axes] == [0, 0, 1, 0, 0]
-    figure = plot_learning(tmp_path / "a.png", {"env_steps": [0, 10], "segment": [0, 0]})
+    figure = plot_learning(tmp_path / "a.png", [{"env_steps": 0, "segment": 0}] * 2)
     assert not any(axes.lines for axes in figure.axes)
 
 

@@ -114,7 +114,7 @@ def test_starts_from_a_policy_and_stops_at_once_if_it_is_good_enough(
 
 
 def test_without_plots_the_mpc_does_not_fly(scene_file, tmp_path, monkeypatch):
-    monkeypatch.setattr("train.segment.fly_mpc", lambda _: 1 / 0)
+    monkeypatch.setattr("train.segment.Mpc", lambda _: 1 / 0)
     run(scene_file, tmp_path / "out", "--no-plots")
     result = json.loads((tmp_path / "out" / "segment.json").read_text())
     assert result["mpc_time"] is None

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from pathlib import Path
-from types import TracebackType
+from contextlib import AbstractContextManager, nullcontext
 
 from rich.console import Console
 from rich.live import Live
@@ -27,32 +26,23 @@ class MissionDisplay:
     It reads the segments' metrics.csv, so it shows the same wherever they are trained.
     """
 
-    def __init__(self, folder: Path, scene: Scene, order: tuple[int, ...], updates: int) -> None:
+    def __init__(
+        self, folder: RunFolder, scene: Scene, order: tuple[int, ...], updates: int
+    ) -> None:
         """Prepares the table of a run folder, whose segments make so many updates each."""
         self._updates, self._ends = updates, tour_segments(order)
         self._bounds = [segment_bound(scene, *ends) for ends in self._ends]
-        self._folders = [RunFolder(folder / "segments" / str(k)) for k in range(len(self._ends))]
+        self._folders = [folder.segment(k) for k in range(len(self._ends))]
         self._console = Console(stderr=True)
         self._begun, self._at_start = time.monotonic(), self._total()
-        # Reading all metrics takes a moment, hence once a second.
-        self._live = Live(console=self._console, get_renderable=self._table, refresh_per_second=1)
         self._moving = sys.stderr.isatty()
 
-    def __enter__(self) -> MissionDisplay:
-        """Starts showing."""
-        if self._moving:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Shows the last state and stops."""
-        if self._moving:
-            self._live.stop()
+    def shown(self) -> AbstractContextManager[object]:
+        """Shows the table, if this is a terminal, for as long as the context is open."""
+        if not self._moving:
+            return nullcontext()
+        # Reading all metrics takes a moment, hence once a second.
+        return Live(console=self._console, get_renderable=self._table, refresh_per_second=1)
 
     def finished(self, index: int) -> None:
         """Says that a training of segment `index` has ended."""

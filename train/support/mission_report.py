@@ -1,4 +1,4 @@
-"""Writes what a flown mission leaves behind: mission.json, plots, report."""
+"""Writes what a flown mission leaves behind: mission.json, plots, video, report."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from typing import Any
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight
+from mjcollect.render.arrivals import progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
+from mjcollect.render.video import render_in_child
 from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, save_shield, shield_intervals
 from mjcollect.verify import verify
+from train.support.command_line import say
 from train.support.markdown import markdown_table
 from train.support.run_folder import RunFolder, versions
 
@@ -82,16 +85,24 @@ def mission_result(
     }
 
 
-def write_flight(
-    folder: RunFolder, course: Course, order: tuple[int, ...], flight: Flight, *, plots: bool
+def write_mission(
+    folder: RunFolder, scene: Scene, result: dict[str, Any], flight: Flight, *, plots: bool
 ) -> None:
-    """Writes trajectory.csv, shield.csv and, if wanted, the plots of the flight."""
+    """Writes trajectory.csv, shield.csv, the plots if they are wanted, and last mission.json."""
     write_record(folder, flight)
     if plots:
-        flown = (course.scene, flight.trajectory, order)
-        folder.write("path_3d.png", lambda part: plot_path_3d(part, *flown))
-        folder.write("path_top.png", lambda part: plot_path_top(part, *flown))
-        folder.write("speed.png", lambda part: plot_speed(part, *flown))
+        flown = progress(scene, flight.trajectory, result["order"])
+        folder.write("path_3d.png", lambda part: plot_path_3d(part, flown))
+        folder.write("path_top.png", lambda part: plot_path_top(part, flown))
+        folder.write("speed.png", lambda part: plot_speed(part, flown))
+        rows = [
+            {"segment": float(index), **row}
+            for index in range(len(result["segments"]))
+            for row in read_metrics(folder.segment(index).path / "metrics.csv")
+        ]
+        if rows:
+            folder.write("learning.png", lambda part: plot_learning(part, rows))
+    folder.write_json("mission.json", result)
 
 
 def write_record(folder: RunFolder, flight: Flight) -> None:
@@ -99,17 +110,6 @@ def write_record(folder: RunFolder, flight: Flight) -> None:
     folder.write("trajectory.csv", flight.trajectory.save)
     when = shield_intervals(flight.shielded, flight.slot)
     folder.write(SHIELD_FILE, lambda part: save_shield(part, when))
-
-
-def write_learning(folder: RunFolder, segments: int) -> None:
-    """Writes learning.png of all segments, from their metrics.csv."""
-    columns: dict[str, list[float]] = {}
-    for index in range(segments):
-        for row in read_metrics(folder.path / "segments" / str(index) / "metrics.csv"):
-            for name, value in {"segment": float(index), **row}.items():
-                columns.setdefault(name, []).append(value)
-    if columns:
-        folder.write("learning.png", lambda part: plot_learning(part, columns))
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
@@ -123,8 +123,35 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
         ]
 
 
+def finish(
+    folder: RunFolder, videos: Sequence[Path], plots: bool, notes: Sequence[str] = ()
+) -> int:
+    """Films what is asked for, writes report.md, prints the result; returns 0 for success, else 1.
+
+    Args:
+        videos: the videos that there are to be, `mission.mp4` or those of segments.
+        plots, notes: as in `report`.
+    """
+    result, scene = folder.read_json("mission.json"), Scene.load(folder.path / "scene.json")
+    assert result is not None
+    # The first comes before the videos, which take long and may be stopped; the last links to them.
+    folder.write_text("report.md", report(folder, scene, result, plots, notes))
+    film(*videos)
+    folder.write_text("report.md", report(folder, scene, result, plots, notes))
+    print(outcome(result, folder.path))
+    return 0 if result["success"] else 1
+
+
+def film(*videos: Path) -> None:
+    """Renders those videos of run folders that are missing, unless none can be made here."""
+    for video in videos:
+        if not video.is_file() and (reason := render_in_child(video.parent)):
+            say(f"no video: {reason}")
+            return
+
+
 def report(
-    folder: RunFolder, scene: Scene, result: dict[str, Any], plots: bool, notes: Sequence[str] = ()
+    folder: RunFolder, scene: Scene, result: dict[str, Any], plots: bool, notes: Sequence[str]
 ) -> str:
     """Returns a page in Markdown: verdict, table of segments, pictures that the folder holds."""
     lines = [f"# Mission in {scene.name}", ""]

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.recording import Flight, Policy, fly, record
+from mjcollect.envs.recording import Flight, Policy, fly
 from mjcollect.learning.policy import TrainedPolicy
+from mjcollect.planners.plan import fly_planner
 from mjcollect.planners.reference.reference import NoFlight, Reference
 from mjcollect.verify import verify
 
@@ -75,8 +76,7 @@ def first_failure(course: Course, order: Sequence[int], flight: Flight) -> int |
 def _by_reference(course: Course, repaired: RepairedFlight, failing: int) -> RepairedFlight:
     """Returns the reference's flight of the whole mission, or what there is if it finds none."""
     try:
-        reference = Reference(course)
-        flight = record(course, lambda _, task: reference.action(task.episodes))
+        flight = fly_planner(course, Reference(course))
     except NoFlight as error:
         note = f"Segment {failing} failed, and the reference planner finds no flight: {error}."
         return dataclasses.replace(repaired, notes=[*repaired.notes, note])

@@ -77,6 +77,10 @@ class RunFolder:
         self.path = Path(path)
         self._lock: int | None = None
 
+    def segment(self, index: int) -> RunFolder:
+        """Returns the folder of a mission's segment."""
+        return RunFolder(self.path / "segments" / str(index))
+
     def check(self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool) -> None:
         """Refuses an unusable folder before any work.
 
