@@ -16,7 +16,7 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import START_KINDS
 from mjcollect.envs.dm_env import load, make_environment, task_names
 from mjcollect.envs.episode import Rules
-from mjcollect.envs.observation import ADAPTIVE, OBSERVATIONS
+from mjcollect.envs.observation import DISTURBED, OBSERVATIONS
 from mjcollect.envs.reward import CAREFUL_CRASH, CRASH, PRESETS, R2, R5, R6
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.scene.mjcf import ACTUATORS, HIT_SENSOR, JOINTS, UAV_BODY, UAV_GEOM
@@ -187,12 +187,12 @@ def test_no_element_of_an_observation_is_constant(make, task, observation):
     for name in timesteps[0].observation:
         found = np.ptp([step.observation[name] for step in timesteps], axis=0) < 1e-6
         expected = OF_ONE_TARGET.get((observation, name), 0) if task == "segment" else 0
-        if observation in ADAPTIVE and name in ONLY_DISTURBED:
+        if observation in DISTURBED and name in ONLY_DISTURBED:
             expected = 1
         assert (found == expected).all(), (name, found)
 
 
-@pytest.mark.parametrize("adaptive", ADAPTIVE)
+@pytest.mark.parametrize("adaptive", DISTURBED)
 def test_nor_where_it_tells_of_disturbances(courses, task, adaptive):
     rng, seen = np.random.default_rng(0), []
     level = Disturbances(DISTURBED, 8, np.random.default_rng(1))

@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
-from mjcollect.envs.observation import ADAPTIVE
+from mjcollect.envs.observation import DISTURBED
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
@@ -241,10 +241,10 @@ def _check(args: Args) -> None:
             "--observation: paper: has as many numbers as a scene has boxes and items, and these "
             "scenes differ; use path, guided or robust"
         )
-    if args.disturbed > 0.0 and args.learn.observation not in ADAPTIVE:
+    if args.disturbed > 0.0 and args.learn.observation not in DISTURBED:
         raise RunError(
             f"--observation: {args.learn.observation}: does not show disturbances; use "
-            f"{' or '.join(ADAPTIVE)}, or --disturbed 0"
+            f"{' or '.join(DISTURBED)}, or --disturbed 0"
         )
 
 

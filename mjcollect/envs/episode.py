@@ -12,13 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.observation import ADAPTIVE, FRAMED, OBSERVATIONS, Parts, State
+from mjcollect.envs.observation import FRAMED, OBSERVATIONS, Parts, State
 from mjcollect.envs.reward import PRESETS
 from mjcollect.envs.targets import Targets
-from mjcollect.flight import disturbance_estimate
+from mjcollect.flight import disturbance_estimate as air
 from mjcollect.flight.collection import command
 from mjcollect.flight.contact import BOUNDS_TOLERANCE, Slot, judge
 from mjcollect.flight.disturbance import MARGIN, REST_SPEED, Disturbances
+from mjcollect.flight.disturbance_estimate import Estimate
+from mjcollect.flight.disturbed_shield import Margins, disturbed_shield
+from mjcollect.flight.moving_boxes import SHOWN, SOON
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
@@ -28,8 +31,6 @@ SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "truth",
     "observed",
     "v",
-    "drift",
-    "commanded",
     "sums",
     "target",
     "collected",
@@ -37,7 +38,9 @@ SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "crashed",
     "held",
     "left",
+    "asked",
 )
+ESTIMATES = ("flight", "truth", "none")
 GAMMA = 0.99  # The default discount factor per slot of an environment.
 
 
@@ -48,12 +51,15 @@ class Rules:
     Attributes:
         observation, reward: names in `OBSERVATIONS` and `PRESETS`. gamma: discount per slot.
         shield: whether to bend commands that leave no way to stop without touching anything.
+        estimate: what decisions know of disturbances: what the flight shows (flight), all but the
+            gusts to come (truth), or nothing (none). Commands counter what is known.
     """
 
     observation: str = "guided"
     reward: str = "time"
     gamma: float = GAMMA
     shield: bool = True
+    estimate: str = "flight"
 
     def __post_init__(self) -> None:
         """Checks the names and the discount.
@@ -61,7 +67,8 @@ class Rules:
         Raises:
             ValueError: a name is unknown, or the discount lies outside (0, 1).
         """
-        for field, choices in (("observation", OBSERVATIONS), ("reward", PRESETS)):
+        names = ("observation", OBSERVATIONS), ("reward", PRESETS), ("estimate", ESTIMATES)
+        for field, choices in names:
             if getattr(self, field) not in choices:
                 raise ValueError(
                     f"{field}: {getattr(self, field)!r}: must be one of {', '.join(choices)}"
@@ -79,6 +86,8 @@ class Outcome:
         terminated: whether the course was finished or a crash ended the episode.
         truncated: whether the step limit ended the episode.
         success: whether the course was finished. shielded: whether the shield changed the command.
+        room: share of its margin that the shield kept, 1 in calm air.
+        struck: whether the body touched a moving box.
     """
 
     reward: Array
@@ -87,6 +96,8 @@ class Outcome:
     truncated: Bools
     success: Bools
     shielded: Bools
+    room: Array
+    struck: Bools
 
 
 class Episodes:
@@ -95,10 +106,9 @@ class Episodes:
     Attributes:
         truth, observed: (N, 3) true positions, and positions as measured if disturbed (m).
         v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
-        commanded, drift: (N, 3) the last slot's command, and by how much its acceleration differed
-            from it (m/s^2). sums: sums over both so far, as `disturbance_estimate` needs them.
+        known: what is known of disturbances. sums: what it is made of, if it is of the flight.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
-        held, left: (N, 3), (N,) the shield's state. approach: how each stands towards its target.
+        held, left, asked: (N, 3), (N,), (N,) the shield's state. approach: how each stands towards its target.
     """
 
     def __init__(
@@ -116,24 +126,22 @@ class Episodes:
         self.targets = Targets(courses, count)
         self.count, self.rules, self.disturbances = count, rules, disturbances
         self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
-        self._adapts = rules.observation in ADAPTIVE
         self._framed = rules.observation in FRAMED
+        self._estimates = disturbances is not None and rules.estimate != "none"
         scenes = [course.scene for course in courses]
-        if self._adapts or disturbances is not None:  # Each episode has a world of its own.
+        if disturbances is not None:  # Each episode has a world of its own.
             scenes = [self.course(index).scene for index in range(count)]
         elif all(scene is scenes[0] for scene in scenes):
             scenes = scenes[:1]
         self.world = World.stack(scenes)
-        self.truth, self.observed, self.v, self.drift, self.commanded = (
-            np.zeros((count, 3)) for _ in range(5)
-        )
-        self.sums = np.zeros((count, disturbance_estimate.SUMS))
-        self._gain, self._push = disturbance_estimate.estimate(self.sums)
-        self._mover = np.zeros((count, 6))
+        self.truth, self.observed, self.v = (np.zeros((count, 3)) for _ in range(3))
+        self.sums, self.known = np.zeros((count, air.SUMS)), Estimate.calm(count)
+        self._movers = np.zeros((count, SHOWN, 2 + len(SOON), 3))
         self.target, self.collected = self.targets.first.copy(), self.targets.before.copy()
         self.steps = np.zeros(count, dtype=np.int64)
         self.crashed, self.shielded, self._stop = (np.zeros(count, dtype=bool) for _ in range(3))
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
+        self.asked, self.room = np.ones(count), np.ones(count)
         self._all = np.arange(count)
         self._update_estimates()
         self.approach = self._approach()
@@ -141,7 +149,17 @@ class Episodes:
     @property
     def q(self) -> Array:
         """Returns the positions (N, 3) in m from which decisions are made."""
-        return self.truth if self.disturbances is None else self.observed
+        return self.truth if self.disturbances is None else self._seen_q
+
+    @property
+    def seen_v(self) -> Array:
+        """Returns the velocities (N, 3) in m/s from which decisions are made."""
+        return self.v if self.disturbances is None else self._seen_v
+
+    @property
+    def seen_world(self) -> World:
+        """Returns the world as decisions see it, with the a_max to count on and moving boxes."""
+        return self._seen_world
 
     @property
     def boxes(self) -> Array:
@@ -158,15 +176,15 @@ class Episodes:
     def reset(self, which: Indices, q: Array, v: Array) -> None:
         """Begins the episodes with indices `which` (n,) anew at q, v (n, 3) in m and m/s."""
         self.truth[which], self.v[which] = q, v
-        self.commanded[which] = self.drift[which] = self.sums[which] = 0.0
         self.target[which] = self.targets.first[which]
         if self.disturbances is not None:
             self.disturbances.begin(which, q, self.targets.goal[self.target[which]])
             self.observed[which] = self.disturbances.seen(q, which)
+            air.begin(self.sums, which, self.observed[which])
         self.collected[which] = self.targets.before[which]
         self.steps[which] = 0
         self.crashed[which] = False
-        self.left[which] = 0
+        self.left[which], self.asked[which] = 0, 1.0
         self._update_estimates()
         self._update_approach(self.approach, which)
 
@@ -188,13 +206,26 @@ class Episodes:
         if self._framed:
             known = np.where(np.isfinite(action), action, 0.0)
             action = np.einsum("nk,nkj->nj", known, self.approach.frame)
-        self.commanded, self._stop = command(self.world, self.q, self.v, action, goal, tolerance)
-        if self.rules.shield:
-            shield(
-                self._seen_world, self.q, self.v, self.commanded, self._stop, self.held, self.left,
-                self.shielded,
-            )  # fmt: skip
-        return self.commanded
+        world, q, v = self._seen_world, self.q, self.seen_v
+        a, self._stop = command(world, q, v, action, goal, tolerance)
+        if self._estimates:
+            known, a_max = self.known, self.world.a_max
+            a = known.flown(known.counter(a, a_max))  # as far as the actuators can follow
+            if self.rules.shield:
+                disturbed_shield(
+                    world._replace(boxes=self.world.boxes), self._margins(), q, v, a, self._stop,
+                    self.held, self.left, self.asked, self.room, self.shielded,
+                )  # fmt: skip
+            a = known.counter(a, a_max)
+        elif self.rules.shield:
+            shield(world, q, v, a, self._stop, self.held, self.left, self.shielded)
+        return a
+
+    def _margins(self) -> Margins:
+        """Returns what the shield keeps clear of in disturbed air."""
+        assert self.disturbances is not None
+        movers = self.disturbances.movers
+        return Margins.of(self.known, self.world.a_max, self.seen_v, movers.boxes, movers.ahead())
 
     def end_slot(self, path: Array, v: Array, sensed: Bools) -> Outcome:
         """Judges the slot just flown and moves on to the next target where one was reached.
@@ -204,18 +235,13 @@ class Episodes:
             sensed: (N, n) contact sensor after each physics step.
         """
         margin = BOUNDS_TOLERANCE if self.disturbances is None else MARGIN
+        struck = np.zeros(sensed.shape, dtype=bool)
         if self.disturbances is not None and self.disturbances.level.mover > 0.0:
             whole = np.concatenate([self.truth[:, None], path], axis=1)
-            sensed = sensed | self.disturbances.movers.touched(self.world, whole)
+            struck = self.disturbances.movers.touched(self.world, whole)
             self.disturbances.movers.move(self.world.slot)
-        slot = judge(self.world, self.truth, path, sensed, self._stop, margin)
-        before = self.approach
-        self.drift = (v - self.v) / self.world.slot - self.commanded
-        if self._adapts:
-            a_max = self.world.a_max
-            self.sums = disturbance_estimate.gather(
-                self.sums, self.commanded / a_max, self.drift / a_max
-            )
+        slot = judge(self.world, self.truth, path, sensed | struck, self._stop, margin)
+        before, old_v = self.approach, self.v
         self.truth, self.v = path[:, -1].copy(), v.copy()
         if self._preset.crash_ends:
             ended = slot.crashed
@@ -226,6 +252,9 @@ class Episodes:
         if self.disturbances is not None:
             slot = replace(slot, arrived=slot.arrived & self._rests())
             self.observed = self.disturbances.seen(self.truth)
+            if self.rules.estimate == "flight":
+                sent = self.disturbances.last
+                air.gather(self.world, self.sums, old_v, self.v, sent, self.observed)
         self._update_estimates()
         after = self._approach()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
@@ -242,7 +271,10 @@ class Episodes:
             self._update_approach(after, np.flatnonzero(moving))
         terminated = success | ended
         truncated = ~terminated & (self.steps >= self.targets.step_limit)
-        return Outcome(reward, slot, terminated, truncated, success, self.shielded.copy())
+        return Outcome(
+            reward, slot, terminated, truncated, success, self.shielded.copy(), self.room.copy(),
+            struck.any(axis=1),
+        )  # fmt: skip
 
     def _rests(self) -> Bools:
         """Returns which disturbed stops (N,) count: slow enough and within the tolerance."""
@@ -253,8 +285,8 @@ class Episodes:
     def observe(self, which: Indices | None = None) -> Parts:
         """Returns the observation's named parts, each (N, d), or only their rows `which` (n,)."""
         state = State(
-            self.q, self.v, self.approach, self.targets.items, self.collected, self.commanded,
-            self.drift, self._gain, self._push, self._mover,
+            self.q, self.seen_v, self.approach, self.targets.items, self.collected, self.known,
+            self.asked, self._movers,
         )  # fmt: skip
         if which is None:
             return self._observation(self._seen_world, state)
@@ -266,31 +298,36 @@ class Episodes:
         return np.asarray(self.approach.next_excess / self.world.v_max[..., 0])
 
     def guidance_action(self) -> Array:
-        """Returns the actions (N, 3) of the guidance law of `guidance.law` in units of a_max.
-
-        With an observation in ADAPTIVE it plans with the acceleration that the estimated
-        disturbance leaves and counters its push.
-        """
-        law = self.targets.law(self._seen_world, self.target, self.q, self.v)
-        if self._adapts:
-            law *= disturbance_estimate.usable(self._gain, self._push)
-            law = disturbance_estimate.counter(law, self._gain, self._push)
+        """Returns the actions (N, 3) of the guidance law of `guidance.law` in units of a_max."""
+        law = self.targets.law(self._seen_world, self.target, self.q, self.seen_v)
         if self._framed:
             law = np.einsum("nj,nkj->nk", law, self.approach.frame)
         return law
 
     def _update_estimates(self) -> None:
-        """Updates what is known of disturbances, and so the world as decisions see it."""
+        """Updates what is known of disturbances, and so the state and world as decisions see it."""
         self._seen_world = self.world
-        if self._adapts:
-            self._gain, self._push = disturbance_estimate.estimate(self.sums)
-            a_max = self.world.a_max * disturbance_estimate.usable(self._gain, self._push)
+        if self.disturbances is None:
+            return
+        self._seen_q, self._seen_v = self.observed, self.v
+        if self._estimates:
+            if self.rules.estimate == "truth":
+                self.known = self.disturbances.truth(self.world)
+                self.sums[:, air.AT.position] = self.truth
+                self.sums[:, air.AT.last] = self.disturbances.last / self.world.a_max
+            else:
+                self.known = air.estimate(self.world, self.sums)
+            self._seen_q, self._seen_v = air.foretell(
+                self.world, self.sums, self.known, self.sums[:, air.AT.position], self.v
+            )
+            a_max = self.known.usable(self.world.a_max)
             self._seen_world = self._seen_world._replace(a_max=a_max)
-        if self.disturbances is not None and self.disturbances.level.mover > 0.0:
-            movers = self.disturbances.movers
+        movers = self.disturbances.movers
+        if self.disturbances.level.mover > 0.0:
+            movers.told = self.rules.estimate == "truth"
             boxes = np.concatenate([self.world.boxes, movers.boxes], axis=1)
             self._seen_world = self._seen_world._replace(boxes=boxes)
-            self._mover = movers.seen(self.q, self.world.v_max)
+            self._movers = movers.seen(self.q, self.seen_v, self.world.v_max)
 
     def _approach(self) -> Approach:
         """Returns a new approach of all episodes."""
@@ -300,4 +337,6 @@ class Episodes:
 
     def _update_approach(self, approach: Approach, which: Indices) -> None:
         """Writes the rows `which` (n,) of an approach."""
-        self.targets.update_approach(self._seen_world, self.target, self.q, self.v, which, approach)
+        self.targets.update_approach(
+            self._seen_world, self.target, self.q, self.seen_v, which, approach
+        )

@@ -2,7 +2,7 @@
 
 `guided`, the environments' default, works for any number of boxes and items. `path`, from which
 policies learn by default, is the same in the frame of the path, and so are the actions. `robust`
-adds what kept the flight from its commands. `paper` is the state S = {q, v, l, m, p} of the paper's
+adds to `path` what is known of disturbances, and moving boxes. `paper` is the state S = {q, v, l, m, p} of the paper's
 section IV-B. All return named parts, each (N, d), in order.
 """
 
@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import FAR, box_offset, nearest_point_offset
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
@@ -48,9 +49,8 @@ class State(NamedTuple):
     Attributes:
         q, v: (N, 3) positions (m), velocities (m/s). approach: the way to the current target.
         items: (N, K, 3) m, padded with points far away. collected: (N, K) flags.
-        commanded, drift: (N, 3) the last slot's command, and by how much the slot differed from it
-            (m/s^2). gain, push: (N, 1), (N, 3) estimates of `flight.disturbance_estimate`.
-        mover: (N, 6) what `MovingBoxes.seen` shows of a moving box.
+        known: what is known of disturbances. asked: (N,) share of its margin that the shield asks
+            for. movers: (N, ...) what `MovingBoxes.seen` shows.
     """
 
     q: Array
@@ -58,17 +58,16 @@ class State(NamedTuple):
     approach: Approach
     items: Array
     collected: Bools
-    commanded: Array
-    drift: Array
-    gain: Array
-    push: Array
-    mover: Array
+    known: Estimate
+    asked: Array
+    movers: Array
 
     def rows(self, which: Indices) -> State:
         """Returns the state of the simulations `which` (n,) only."""
-        return State._make(
-            part.rows(which) if isinstance(part, Approach) else part[which] for part in self
-        )
+        known = Estimate._make(part[which] for part in self.known)
+        parts = self._replace(approach=self.approach.rows(which), known=known)
+        arrays = ("q", "v", "items", "collected", "asked", "movers")
+        return parts._replace(**{name: getattr(self, name)[which] for name in arrays})
 
 
 @compiled
@@ -224,21 +223,27 @@ def paper(world: World, state: State) -> Parts:
 
 
 def robust(world: World, state: State) -> Parts:
-    """Returns `guided`, the last slot's command and drift, estimates of it, and a moving box.
+    """Returns `path`, estimates of what disturbs and how sure they are, and moving boxes.
 
-    Accelerations are in units of the a_max that `disturbance_estimate.usable` says is left.
+    Vectors are in the frame of the path. The a_max in whose unit they are is what is left of it.
     """
-    parts = guided(world, state)
+    known, frame = state.known, state.approach.frame
+    turned = np.einsum("n...j,nkj->n...k", state.movers, frame)
+    doubts = (
+        known.gain,
+        known.late / world.slot,
+        known.spread / world.a_max,
+        known.blur,
+        state.asked[:, None],
+    )
     return {
-        **parts,
-        "command": state.commanded / world.a_max,
-        "mover": state.mover.copy(),
-        "drift": state.drift / world.a_max,
-        "gain": state.gain,
-        "push": state.push,
+        **path(world, state),
+        "push": np.einsum("nj,nkj->nk", known.push / world.a_max, frame),
+        "doubts": np.concatenate(doubts, axis=1),
+        "movers": turned.reshape(len(turned), -1),
     }
 
 
 OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}
-FRAMED = ("path",)  # With these, actions are in the frame of the path as well.
-ADAPTIVE = ("robust",)  # With these, the guidance law adapts to the disturbances that they show.
+FRAMED = ("path", "robust")  # With these, actions are in the frame of the path as well.
+DISTURBED = ("robust",)  # These show disturbances.

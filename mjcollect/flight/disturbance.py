@@ -9,17 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mjcollect.flight.disturbance_estimate import GUST_SECONDS, Estimate
 from mjcollect.flight.moving_boxes import MovingBoxes
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools
 
-GUST_SECONDS = 1.0  # The correlation of gusts falls to 1/e in this time.
 REST_SPEED = 2.0  # m/s; a disturbed body that is slower within the tolerance has come to rest
 MARGIN = 5.0  # metres beyond the bounds that are still inside, since a corner may hold the depot
 
@@ -44,6 +44,10 @@ class Disturbance:
     """Each slot's observed position errs by this (m, standard deviation) along each axis."""
     mover: float = 0.0
     """A box moves to and fro across the way at this speed (m/s)."""
+    boxes: int = 1
+    """So many boxes move, each across a place of its own."""
+    turned: float = 0.0
+    """Their paths are turned by up to this angle from straight across (degrees)."""
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
@@ -52,6 +56,13 @@ class Disturbance:
             if not 0.0 <= value < (1.0 if field.name == "gain" else math.inf):
                 least = "from 0 to below 1" if field.name == "gain" else "0 or more"
                 raise ValueError(f"{field.name}: {value}: must be {least}")
+        if self.boxes < 1:
+            raise ValueError(f"boxes: {self.boxes}: must be at least 1; mover 0 is none")
+
+    def times(self, share: float) -> Disturbance:
+        """Returns the same kinds of disturbance at a share of their strength."""
+        strong = ("wind", "gusts", "gain", "delay", "noise", "mover")
+        return replace(self, **{name: share * getattr(self, name) for name in strong})
 
 
 class Disturbances:
@@ -78,7 +89,7 @@ class Disturbances:
         self._strength, self._gain = np.zeros((count, 1)), np.ones((count, 1))
         self._late, self._noise = np.zeros(count), np.zeros((count, 1))
         self._before = np.zeros((count, 3))  # the commands of the slot before
-        self.movers = MovingBoxes(count)
+        self.movers = MovingBoxes(count, level.boxes)
 
     def begin(self, which: NDArray[np.intp], start: Array, goal: Array) -> None:
         """Draws anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
@@ -94,7 +105,23 @@ class Disturbances:
         self._noise[which, 0] = level.noise * share[4]
         self._before[which] = 0.0
         if level.mover > 0.0:
-            self.movers.begin(which, start, goal, level.mover * share[5], self.rng)
+            speed = np.tile((level.mover * share[5])[:, None], (1, level.boxes))
+            if self.vary:  # Each episode has from one box on up to all of them.
+                most = self.rng.integers(1, level.boxes + 1, n)
+                speed *= np.arange(level.boxes) < most[:, None]
+            turned = math.radians(level.turned)
+            self.movers.begin(which, start, goal, speed, self.rng, turned)
+
+    def truth(self, world: World) -> Estimate:
+        """Returns what an all-knowing pilot would know: all but the gusts to come."""
+        fading = math.exp(-world.slot / GUST_SECONDS)
+        return Estimate(
+            gain=self._gain - 1.0,
+            push=self._wind + math.sqrt(fading) * self._gusts,
+            late=np.round(self._late[:, None] / world.step) * world.step,
+            spread=self._strength * math.sqrt(1.0 - fading**2),
+            blur=np.zeros((self.count, 1)),
+        )
 
     def controls(self, world: World, command: Array) -> Array:
         """Returns accelerations (N, n, 3) in m/s^2 of a slot's physics steps for commands (N, 3).
@@ -119,6 +146,11 @@ class Disturbances:
         """Returns observed positions for true ones (n, 3) of the simulations `which`, or of all."""
         noise = self._noise if which is None else self._noise[which]
         return np.asarray(q + noise * self.rng.standard_normal(q.shape))
+
+    @property
+    def last(self) -> Array:
+        """Returns the commands (N, 3) of the last slot in m/s^2, shortened to a_max."""
+        return self._before
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all of the state but the level."""

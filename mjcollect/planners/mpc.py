@@ -108,7 +108,7 @@ class Mpc:
 
     def action(self, episodes: Episodes) -> Array:
         """Returns the action (3,) in units of a_max, of norm <= 1, for the one episode."""
-        q, v, target = episodes.q[0], episodes.v[0], int(episodes.target[0])
+        q, v, target = episodes.q[0], episodes.seen_v[0], int(episodes.target[0])
         plan = self.plan(q, v, target)
         if plan is None:
             self.counts["law"] += 1
