@@ -4,9 +4,8 @@ from functools import cache
 
 from mjcollect.scene.order import plan_order
 from train.reproduction import orders
-from train.reproduction.document import spreads
 from train.reproduction.plan import Sizes, make_plan, random_scenes
-from train.reproduction.tables import entry_of, tables
+from train.reproduction.tables import entry_of, spreads, tables
 
 SIZES = Sizes(training_seeds=2, sweep=(1, 2, 4, 6, 8), floating=5, city=2, items=3, instances=300)
 TOURS = [(0, 1, 2), (0, 2, 1), (1, 0, 2)]

@@ -11,11 +11,11 @@ reproduction.md. What became of the paper's claims is written by hand: docs/repr
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import shlex
-import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,13 +24,12 @@ import tyro
 
 from mjcollect.scene.order import MAX_EXACT, TourError, plan_order
 from train.jobs.workers import connect_ray, need_ray
-from train.reproduction.compare import differences, load_cells
-from train.reproduction.document import document
 from train.reproduction.figures import draw
 from train.reproduction.page import page
 from train.reproduction.plan import PARTS, PLANNERS, Cell, Part, Plan, Planner, Sizes, make_plan
 from train.reproduction.prepare import note_machine, time_orders, write_scenes
 from train.reproduction.running import fly_cells, result_of
+from train.reproduction.tables import document
 from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.run_folder import RunError, RunFolder
@@ -38,7 +37,9 @@ from train.support.run_folder import RunError, RunFolder
 QUICK = Sizes(training_seeds=1, sweep=(1, 2, 4), floating=1, city=1, items=3, first_scene=7001)
 QUICK_TRAINING = ("--updates", "1500", "--extra-updates", "0", "--retries", "0")
 OUTPUTS = ("cells", "scenes", "config.json", "command.txt", "orders.json", "machines.json",
-           "results.json", "reproduction.md")  # fmt: skip
+           "results.json", "reproduction.md", "*.png")  # fmt: skip
+# What is compared with another run's flights.
+COMPARED = ("order", "success", "mission_time", "segment_times", "contacts", "updates")
 CELL_NAME = re.compile(rf"(.+)-({'|'.join(PLANNERS)})-([a-z0-9.]+)(?:-seed(\d+))?", re.ASCII)
 
 
@@ -109,9 +110,7 @@ def reproduce(args: Args) -> int:
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.ray is not None:
         connect_ray(args.ray)
-    if args.overwrite and folder.path.is_dir():
-        clear(folder)
-    folder.create(config, None, overwrite=False)
+    folder.create(config, None, overwrite=args.overwrite, files=OUTPUTS)
     try:
         orders = time_orders(folder, sizes, args.workers, "random" in args.parts and not only)
         plan = make_plan(sizes, args.seed, orders)
@@ -156,9 +155,8 @@ def sizes_of(args: Args) -> Sizes:
     Raises:
         RunError: a number is out of range, or options exclude each other.
     """
-    fields = ("training_seeds", "floating", "city", "items")
-    given = {field: getattr(args, field) for field in fields if getattr(args, field) is not None}
     least = {"training_seeds": 1, "floating": 0, "city": 0, "items": 1}
+    given = {field: getattr(args, field) for field in least if getattr(args, field) is not None}
     check_least(args, seed=0, workers=1, **{field: least[field] for field in given})
     if args.items is not None and args.items > MAX_EXACT:
         raise RunError(f"--items: {args.items}: must be at most {MAX_EXACT}")
@@ -189,19 +187,32 @@ def parse_cell(name: str, sizes: Sizes) -> Cell:
     )
 
 
-def clear(folder: RunFolder) -> None:
-    """Remove what an earlier run left.
+def load_cells(path: Path) -> dict[str, Any]:
+    """Return the entries of the cells in a results.json, by name.
 
     Raises:
-        RunError: the folder is in use.
+        RunError: there is no such file, or it is none.
     """
-    folder.lock()
-    for path in [folder.path / name for name in OUTPUTS] + list(folder.path.glob("*.png")):
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-    folder.unlock()
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8"))["cells"])
+    except OSError as error:
+        raise RunError(f"--against: {path}: cannot be read ({error.strerror})") from None
+    except (ValueError, KeyError, TypeError):
+        raise RunError(f"--against: {path}: is no results.json of train.reproduce") from None
+
+
+def differences(
+    names: Sequence[str], ours: Mapping[str, Mapping[str, Any]], theirs: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return what differs, by cell; nothing if all flights of `names` are the same in both."""
+    found = {}
+    for name in names:
+        one, two = ours.get(name), theirs.get(name)
+        if one is None or two is None:
+            found[name] = "not flown" if one is None else "not in the other run"
+        elif differ := [key for key in COMPARED if one[key] != two[key]]:
+            found[name] = "; ".join(f"{key} {one[key]}, there {two[key]}" for key in differ)
+    return found
 
 
 def chosen(plan: Plan, args: Args) -> list[Cell]:

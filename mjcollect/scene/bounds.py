@@ -48,13 +48,13 @@ def mission_bound(scene: Scene) -> tuple[float, str]:
     relaxation that never exceeds that sum (Held and Karp 1970, on the items; the two depot segments
     stand apart, because `return_tolerance` shortens only the return).
     """
-    cost = _leg_bounds(scene)
+    cost = leg_bounds(scene)
     if len(scene.items) <= MAX_EXACT:
         return held_karp(cost)[0], EXACT
     return _one_tree(cost), RELAXED
 
 
-def _leg_bounds(scene: Scene) -> Array:
+def leg_bounds(scene: Scene) -> Array:
     """Returns the segment bounds (K+1, K+1) in s, from row to column, the depot first."""
     margin = np.full((len(scene.items) + 1,) * 2, 2 * scene.epsilon)
     margin[0, :] = scene.epsilon

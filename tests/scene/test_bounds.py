@@ -94,7 +94,7 @@ def test_bundled_scenes_have_their_published_bounds(name, expected):
 def test_relaxation_never_exceeds_the_exact_bound(seed, count, tolerance, epsilon):
     scene = random_scene(seed, count, return_tolerance=tolerance, epsilon=epsilon)
     exact = mission_bound(scene)[0]
-    relaxed = bounds._one_tree(bounds._leg_bounds(scene))
+    relaxed = bounds._one_tree(bounds.leg_bounds(scene))
     assert relaxed <= exact
     assert relaxed >= 0.9 * exact - 1e-6
 

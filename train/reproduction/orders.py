@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
-from mjcollect.scene.bounds import leg_time, segment_bound
+from mjcollect.scene.bounds import leg_bounds, leg_time, segment_bound
 from mjcollect.scene.order import tour_segments
 from mjcollect.scene.scene import Scene
 
@@ -29,11 +29,8 @@ def order_bound(scene: Scene, order: tuple[int, ...]) -> float:
 
 def all_bounds(scene: Scene) -> Array:
     """Return the bounds (K!,) in s of every order, sorted; for up to 8 items or so."""
-    count = len(scene.items)
-    cost = np.array(
-        [[segment_bound(scene, frm, to) for to in range(-1, count)] for frm in range(-1, count)]
-    )
-    orders = np.array(list(itertools.permutations(range(1, count + 1))))
+    cost = leg_bounds(scene)
+    orders = np.array(list(itertools.permutations(range(1, len(cost)))))
     depot = np.zeros((len(orders), 1), dtype=int)
     stops = np.hstack([depot, orders, depot])
     return np.sort(cost[stops[:, :-1], stops[:, 1:]].sum(axis=1))

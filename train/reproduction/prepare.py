@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from pathlib import Path
 
 from mjcollect.guidance.travel_times import travel_times
@@ -59,12 +60,10 @@ def write_scenes(folder: RunFolder, plan: Plan) -> None:
 
 def note_machine(folder: RunFolder) -> None:
     """Add this machine to machines.json, which lists all that flew cells."""
-    model = platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        for line in cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                model = line.split(":", 1)[1].strip()
+    text = cpuinfo.read_text(encoding="utf-8", errors="replace") if cpuinfo.is_file() else ""
+    named = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
+    model = named[1] if named else platform.machine()
     here = {"cpus": os.cpu_count(), "processor": model, "system": platform.system()}
     known = folder.read_json("machines.json") or {"machines": []}
     if here not in known["machines"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 from train.jobs.workers import Done, Job, open_workers, run_jobs
 from train.reproduction.plan import Cell
 from train.support.command_line import progress_bar, stop_on_ctrl_c
-from train.support.run_folder import RunFolder
+from train.support.run_folder import RunFolder, remove
 
 # What is left of a finished cell, unless everything is kept.
 KEPT = ("mission.json", "trajectory.csv", "scene.json", "config.json", "command.txt", "report.md")
@@ -102,15 +101,9 @@ def fly_cells(
 
 def tidy(out: Path, cell: Cell, keep: bool) -> None:
     """Remove checkpoints, policies and pictures of a finished cell."""
-    if keep:
-        return
     for path in cell_folder(out, cell).path.iterdir():
-        if path.name in KEPT:
-            continue
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+        if not keep and path.name not in KEPT:
+            remove(path)
 
 
 def _seconds(cell: Cell) -> float:

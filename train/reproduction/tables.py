@@ -1,4 +1,4 @@
-"""Makes tables of plain numbers from flown cells, and text of means and shares.
+"""Makes results.json, tables of plain numbers from flown cells, and text of means and shares.
 
 Rows come as `uses` (dictionaries of `train.reproduction.plan.Use`) and `cells` (name -> entry of
 `entry_of`). A cell that is not flown is missing from `cells`; a flight without success has no time.
@@ -9,17 +9,71 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, t
 
-from train.reproduction.paper import Scheme, reported
-from train.reproduction.plan import ABLATION, PLANNERS, Cell
+from train.reproduction import orders
+from train.reproduction.paper import SWEEP_SAVING, Scheme, reported
+from train.reproduction.plan import ABLATION, PLANNERS, Cell, Plan, Sizes
+from train.reproduction.running import result_of
+from train.support.run_folder import versions
 
 Row = dict[str, Any]
 CONFIDENCE = 0.95
+COPIED = (
+    "success", "mission_time", "lower_bound", "bound_method", "ratio", "detour_time", "contacts",
+    "train_seconds",
+)  # fmt: skip
+
+
+def document(
+    out: Path, plan: Plan, sizes: Sizes, errors: Mapping[str, str], about: Mapping[str, Any]
+) -> Row:
+    """Return everything that was flown and counted, from which the page is written.
+
+    Args:
+        out: folder of the flown cells.
+        plan, sizes: what was to be flown.
+        errors: what went wrong, by cell.
+        about: entries on how the program was called.
+    """
+    found = {name: result_of(out, cell) for name, cell in plan.cells.items()}
+    results = {name: result for name, result in found.items() if result is not None}
+    cells = {name: entry_of(plan.cells[name], result) for name, result in results.items()}
+    flown_with = {str(result["versions"]): result["versions"] for result in results.values()}
+    uses = [asdict(use) for use in plan.uses]
+    return {
+        "program": "train.reproduce",
+        **about,
+        "sizes": {**asdict(sizes), "sweep": list(sizes.sweep)},
+        "versions": versions(),
+        "cell_versions": list(flown_with.values()),  # one, if all is well
+        "scenes": {
+            label: {"name": scene.name, "seed": scene.seed, "items": len(scene.items),
+                    "obstacles": len(scene.obstacles)}
+            for label, scene in plan.scenes.items()
+        },
+        "uses": uses,
+        "cells": cells,
+        "not_flown": [name for name in plan.cells if name not in cells],
+        "errors": dict(errors),
+        "spreads": spreads(plan),
+        "orders": orders.study(sizes.instances, about["seed"], SWEEP_SAVING),
+        "tables": tables(uses, cells),
+    }  # fmt: skip
+
+
+def spreads(plan: Plan) -> dict[str, dict[str, float]]:
+    """Return how the bounds of all orders of the bundled scenes are spread, by label."""
+    flown = {use.scene: plan.cells[use.cell] for use in plan.uses
+             if use.part != "random" and use.method == "random"}  # fmt: skip
+    return {label: orders.spread(plan.scenes[cell.scene], cell.order)
+            for label, cell in flown.items()}  # fmt: skip
 
 
 def entry_of(cell: Cell, result: Mapping[str, Any]) -> Row:
@@ -31,17 +85,10 @@ def entry_of(cell: Cell, result: Mapping[str, Any]) -> Row:
         "order": list(cell.order),
         "planner": cell.planner,
         "seed": cell.seed,
-        "success": result["success"],
-        "mission_time": result["mission_time"],
-        "lower_bound": result["lower_bound"],
-        "bound_method": result["bound_method"],
+        **{key: result[key] for key in COPIED},
         "order_bound": sum(segment["lower_bound"] for segment in segments),
-        "ratio": result["ratio"],
-        "detour_time": result["detour_time"],
-        "contacts": result["contacts"],
         "violations": sorted({violation["kind"] for violation in result["violations"]}),
         "segment_times": [segment["time"] for segment in segments],
-        "train_seconds": result["train_seconds"],
         "updates": sum(updates) if None not in updates else None,
     }
 

@@ -130,8 +130,14 @@ class RunFolder:
         if saved.is_file() and Scene.load(saved) != scene:
             raise RunError(f"--resume: {saved} differs from {name}; give the run's own scene")
 
-    def create(self, config: dict[str, Any], scene: Scene | None, *, overwrite: bool) -> None:
+    def create(
+        self, config: dict[str, Any], scene: Scene | None, *, overwrite: bool,
+        files: Sequence[str] = RUN_FILES,
+    ) -> None:  # fmt: skip
         """Makes the folder with config.json, command.txt and, if there is one, scene.json.
+
+        Args:
+            overwrite: whether to remove the files of an earlier run: what `files` names.
 
         Raises:
             RunError: The folder cannot be made, or another process writes to it.
@@ -142,12 +148,8 @@ class RunFolder:
             raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
         self.lock()
         if overwrite:
-            for name in RUN_FILES:
-                target = self.path / name
-                if target.is_dir():
-                    shutil.rmtree(target)
-                else:
-                    target.unlink(missing_ok=True)
+            for target in [path for name in files for path in self.path.glob(name)]:
+                remove(target)
         if scene is not None:
             self.write("scene.json", scene.save)
         self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
@@ -234,6 +236,14 @@ class RunFolder:
                 Checkpoint(**components).load(self.path / name)
                 return True
         return False
+
+
+def remove(path: Path) -> None:
+    """Removes a file, or a folder with all that is in it."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
 
 
 def default_folder(kind: str, *parts: str) -> Path:
