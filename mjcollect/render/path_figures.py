@@ -25,6 +25,7 @@ from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 
+Place = tuple[float, float, float, float]  # left, bottom, width, height as shares of the figure
 MOST_PIECES = 1500  # More pieces of a path cannot be told apart, and take long to draw.
 GUIDANCE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 3)), "linewidth": 1.2}
 END: dict[str, Any] = {"color": RED, "marker": "X", "s": 45, "edgecolor": "white", "zorder": 7}
@@ -53,8 +54,8 @@ def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None)
         The figure, also written to `path`.
     """
     figure = new_figure(12, 10)
-    axes: Any = figure.add_axes((0.0, 0.02, 0.86, 0.93), projection="3d", computed_zorder=False)
     low, high = _window(done, guidance_path)
+    axes = axes_3d(figure, (0.0, 0.02, 0.86, 0.93), low, high)
     inside = np.clip(done.scene.obstacles, low, high)
     draw_boxes_3d(axes, inside[np.all(inside[:, 1] > inside[:, 0], axis=-1)])
     pieces, by_speed = _pieces(done)
@@ -73,12 +74,6 @@ def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None)
         above = point + (high - low) * [0, 0, 0.025]
         axes.text(*above, label, ha="center", va="bottom", zorder=8, **TEXT)
     axes.scatter(*done.trajectory.x[-1], depthshade=False, **END)
-    for name, least, most in zip("xyz", low, high, strict=True):
-        getattr(axes, f"set_{name}lim")(least, most)
-        getattr(axes, f"set_{name}label")(f"{name} (m)", labelpad=9, **LABEL)
-    axes.tick_params(labelsize=9.5)
-    axes.set_box_aspect(high - low)
-    axes.view_init(elev=24, azim=-58)
     return _finish(figure, path, done, by_speed, guidance_path is not None)
 
 
@@ -88,8 +83,8 @@ def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None
     See `plot_path_3d` for the arguments.
     """
     figure = new_figure(12, 10)
-    axes: Any = figure.add_axes((0.075, 0.085, 0.76, 0.83))
     low, high = (corner[:2] for corner in _window(done, guidance_path))
+    axes = axes_top(figure, (0.075, 0.085, 0.76, 0.83), low, high)
     draw_boxes_top(axes, done.scene)
     _box_heights(axes, done, low, high)
     pieces, by_speed = _pieces(done)
@@ -112,15 +107,33 @@ def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None
             **TEXT,
         )  # fmt: skip
     axes.scatter(*done.trajectory.x[-1, :2], clip_on=False, **END)
+    return _finish(figure, path, done, by_speed, guidance_path is not None)
+
+
+# Shared parts
+
+
+def axes_3d(figure: Figure, place: Place, low: Array, high: Array) -> Any:
+    """Returns axes at a place in the figure that show the box from low (3,) to high (3,), in m."""
+    axes: Any = figure.add_axes(place, projection="3d", computed_zorder=False)
+    for name, least, most in zip("xyz", low, high, strict=True):
+        getattr(axes, f"set_{name}lim")(least, most)
+        getattr(axes, f"set_{name}label")(f"{name} (m)", labelpad=9, **LABEL)
+    axes.tick_params(labelsize=9.5)
+    axes.set_box_aspect(high - low)
+    axes.view_init(elev=24, azim=-58)
+    return axes
+
+
+def axes_top(figure: Figure, place: Place, low: Array, high: Array) -> Any:
+    """Returns such axes for the view from above; of `low` and `high` the height does not count."""
+    axes = figure.add_axes(place)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_xlabel("x (m)", **LABEL)
     axes.set_ylabel("y (m)", **LABEL)
     axes.grid(color="#DDDDDD", linewidth=0.6)
     axes.set_axisbelow(True)
-    return _finish(figure, path, done, by_speed, guidance_path is not None)
-
-
-# Shared parts
+    return axes
 
 
 def draw_boxes_3d(axes: Any, boxes: Array) -> None:

@@ -93,7 +93,7 @@ def plot_speed(path: Path, done: Progress) -> Figure:
         )  # fmt: skip
         axes.set_ylabel(name, **LABEL)
         axes.set_ylim(0, max(limit, float(size.max())) * 1.12)
-        _plain(axes)
+        plain(axes)
     if trajectory.duration > 0:
         lower.set_xlim(trajectory.t[0], trajectory.t[-1])
     for index, (node, row) in enumerate(zip(done.targets, done.rows, strict=False)):
@@ -138,7 +138,7 @@ def plot_learning(
     made = figure(12, 9)
     grid: Any = made.subplots(2, 2, sharex=True)
     for axes in grid.flat:
-        _plain(axes)
+        plain(axes)
     twin = grid[1, 1].twinx()
     twin.spines[["top", "left"]].set_visible(False)
     panels = [*grid.flat, twin]
@@ -228,7 +228,7 @@ def _levels(axes: Any, levels: Sequence[tuple[float | None, str, str, Any]]) -> 
         )  # fmt: skip
 
 
-def _plain(axes: Any) -> None:
+def plain(axes: Any) -> None:
     """Draws a light grid behind the data, and no frame at the top and right."""
     axes.grid(color="#E3E3E3", linewidth=0.6)
     axes.set_axisbelow(True)

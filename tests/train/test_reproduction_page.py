@@ -9,8 +9,7 @@ import pytest
 from reproduction_cells import SIZES, plan_of_all, synthetic
 
 from mjcollect.trajectory import Trajectory
-from train.reproduction.figures import draw
-from train.reproduction.flights import flights_of
+from train.reproduction.figures import draw, flights_of
 from train.reproduction.page import page
 from train.reproduction.plan import Sizes, make_plan
 from train.reproduction.tables import tables

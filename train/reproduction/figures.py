@@ -8,6 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from mjcollect.render.path_figures import (
+    MOST_PIECES,
+    axes_3d,
+    axes_top,
+    draw_boxes_3d,
+    draw_boxes_top,
+)
 from mjcollect.render.time_figures import (
     BLACK,
     BLUE,
@@ -17,9 +24,12 @@ from mjcollect.render.time_figures import (
     PURPLE,
     RED,
     figure,
+    plain,
     save,
 )
-from train.reproduction.flights import flights_of, plot_schemes
+from mjcollect.scene.order import DEPOT
+from mjcollect.scene.scene import Scene
+from mjcollect.trajectory import Trajectory
 from train.reproduction.paper import (
     DDPG,
     LKH_DDPG,
@@ -31,7 +41,8 @@ from train.reproduction.paper import (
     SWEEP,
     scheme_name,
 )
-from train.reproduction.plan import ABLATION, PLANNERS, Plan
+from train.reproduction.plan import ABLATION, PLANNERS, Order, Plan
+from train.reproduction.running import cell_folder
 from train.reproduction.tables import percent
 
 GREY = "#C9CFD6"
@@ -42,6 +53,11 @@ SWEEP_LINES = [
     (("lkh", "mpc"), ORANGE, "v"),
     (("lkh", "reference"), BLACK, "D"),
 ]
+STYLES: tuple[tuple[str, Any], ...] = (
+    (GREEN, "-"),
+    (BLUE, (0, (5, 2))),
+    (RED, (0, (1.5, 1.5))),
+)
 Document = Mapping[str, Any]
 
 
@@ -68,6 +84,66 @@ def draw(out: Path, plan: Plan, doc: Document) -> dict[str, str]:
             drawn[shown] = f"{shown}.png"
             plot(out / drawn[shown], doc)
     return drawn
+
+
+def flights_of(out: Path, plan: Plan, scene: str) -> dict[str, tuple[Order, Trajectory]]:
+    """Return order and flight of each of the paper's schemes, by its name.
+
+    Of several training seeds the first that was flown counts.
+    """
+    found: dict[str, tuple[Order, Trajectory]] = {}
+    for scheme in SCHEMES:
+        for use in plan.uses:
+            if (use.part, use.scene, use.method, use.planner) == ("scenarios", scene, *scheme):
+                cell = plan.cells[use.cell]
+                path = cell_folder(out, cell).path / "trajectory.csv"
+                name = scheme_name(*scheme)
+                if name not in found and path.is_file():
+                    found[name] = (cell.order, Trajectory.load(path))
+    return found
+
+
+def plot_schemes(
+    path: Path, scene: Scene, title: str, flights: Mapping[str, tuple[Order, Trajectory]]
+) -> None:
+    """Draw up to three flights of one scene over each other, in 3D on the left, from above right.
+
+    Args:
+        path: PNG to write, 1800 by 960 pixels.
+        flights: order and flight by the scheme's name.
+    """
+    made = figure(15, 8)
+    low, high = scene.bounds
+    space = axes_3d(made, (0.0, 0.09, 0.50, 0.85), low, high)
+    top = axes_top(made, (0.555, 0.14, 0.425, 0.78), low, high)
+    draw_boxes_3d(space, scene.obstacles)
+    draw_boxes_top(top, scene)
+    handles = []
+    for number, (name, (order, flight)) in enumerate(flights.items()):
+        x = np.concatenate([flight.x[:: max(1, len(flight.x) // MOST_PIECES)], flight.x[-1:]])
+        colour, dashes = STYLES[number]
+        style: Mapping[str, Any] = {
+            "color": colour, "linestyle": dashes, "linewidth": 2.6 - 0.3 * number,
+            "zorder": 4 + number,
+        }  # fmt: skip
+        label = f"{name}: {flight.duration:.1f} s (order {', '.join(map(str, order))})"
+        handles += space.plot(*x.T, label=label, **style)
+        top.plot(*x.T[:2], **style)
+    for node in range(DEPOT, len(scene.items)):
+        point = scene.point(node)
+        marker: Mapping[str, Any] = {
+            "color": BLACK, "marker": "s" if node == DEPOT else "o", "s": 55, "edgecolor": "white",
+            "zorder": 9,
+        }  # fmt: skip
+        space.scatter(*point, depthshade=False, **marker)
+        top.scatter(*point[:2], clip_on=False, **marker)
+        name = "depot" if node == DEPOT else str(node)
+        above = point + (high - low) * [0, 0, 0.03]
+        space.text(*above, name, ha="center", zorder=10, size=10)
+        top.annotate(name, point[:2], xytext=(6, 6), textcoords="offset points", zorder=10, size=10)
+    made.suptitle(title, fontsize=14, y=0.975)
+    made.legend(handles=handles, loc="lower center", ncol=3, frameon=False, fontsize=10)
+    save(made, path)
 
 
 def plot_sweep(path: Path, doc: Document) -> None:
@@ -165,8 +241,5 @@ def plot_savings(path: Path, doc: Document) -> None:
 def _finish(path: Path, axes: Any, title: str, **legend: Any) -> None:
     axes.legend(**{"frameon": False, "fontsize": 9.5, **legend})
     axes.figure.suptitle(title, fontsize=13)
-    axes.grid(color="#E3E3E3", linewidth=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9.5)
+    plain(axes)
     save(axes.figure, path)
