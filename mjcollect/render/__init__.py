@@ -1,6 +1,6 @@
 """Draws every picture: films of recorded flights, figures of paths, speeds and learning."""
 
 from mjcollect.render.settings import VideoSettings
-from mjcollect.render.video import RenderError, render_in_child, render_run, render_video
+from mjcollect.render.video import RenderError, render_in_child, render_run
 
-__all__ = ["RenderError", "VideoSettings", "render_in_child", "render_run", "render_video"]
+__all__ = ["RenderError", "VideoSettings", "render_in_child", "render_run"]

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Sequence
 
+from mjcollect.render.settings import VideoSettings
 from mjcollect.render.video import RenderError, gl_environment, render_run
 
 
@@ -21,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.update(gl_environment(os.environ))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed
     try:
-        path = render_run(arguments.run, samples=arguments.samples, show_progress=True)
+        path = render_run(arguments.run, VideoSettings(samples=arguments.samples))
     except RenderError as error:
         print(error, file=sys.stderr)
         return 1

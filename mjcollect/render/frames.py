@@ -174,7 +174,8 @@ class Film:
     ) -> None:
         """Draws the plates of a frame and, for a while after each arrival, what was reached."""
         (width, height), unit = self._settings.size, self._settings.unit
-        self._hud.title(draw, self._progress.segment_title(reached))
+        flown = [(self._scene.name, WHITE), (self._progress.segment_title(reached), GREY)]
+        self._hud.card(image, flown, 0.8, 0.33)
         self._hud.instruments(
             image,
             float(self._t[frame] - self._trajectory.t[0]),

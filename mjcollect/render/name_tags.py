@@ -22,7 +22,7 @@ def node_labels(
     image: Image.Image, progress: Progress, reached: int, view: View, x: Array,
     blocked: Sequence[Rectangle],
 ) -> None:  # fmt: skip
-    """Names what is in sight; brackets the target, or points to it where it is out of the picture.
+    """Names what is in sight; rings the target, or points to it where it is out of the picture.
 
     Args:
         image: drawn on. progress, reached: what to name. view: the camera.
@@ -41,7 +41,7 @@ def node_labels(
         radius = scene.tolerance(nodes[k]) / max(depth[k], 1.0) * image.height
         u, v = pixels[k]
         if depth[k] > 0 and tags.free(u, v, 0, 0):
-            tags.bracket(text, u, v, min(max(14 * tags.unit, radius), image.height / 3))
+            tags.ring(text, u, v, min(max(14 * tags.unit, radius), image.height / 3))
         else:
             tags.point_to(text, pixels[k], behind=depth[k] <= 0)
     for k, node in enumerate(nodes):
@@ -78,14 +78,9 @@ class _Tags:
         self.blocked.append((u - wide, v - high, u + wide, v + high))
         pill(self.draw, (u, v), text, round(17 * self.unit), TARGET)
 
-    def bracket(self, text: str, u: float, v: float, radius: float) -> None:
-        """Draws corners round the target, and its name above or below where that is free."""
-        stroke = max(2, round(2.5 * self.unit))
-        for sx in (-1, 1):
-            for sy in (-1, 1):
-                x, y = u + sx * radius, v + sy * radius
-                self.draw.line([(x, y), (x - sx * 0.45 * radius, y)], TARGET, stroke)
-                self.draw.line([(x, y), (x, y - sy * 0.45 * radius)], TARGET, stroke)
+    def ring(self, text: str, u: float, v: float, radius: float) -> None:
+        """Draws a ring round the target, and its name above or below where that is free."""
+        self.draw.circle((u, v), radius, None, TARGET, max(2, round(2.5 * self.unit)))
         for place in (v - radius - 22 * self.unit, v + radius + 22 * self.unit):
             if self.free(u, place, 90, 20):
                 self.name_target(text, u, place)

@@ -158,16 +158,6 @@ class Hud:
         bar = np.repeat((ramp * 255).astype(np.uint8)[None], max(2, round(14 * self._unit)), axis=0)
         self._bar = Image.fromarray(bar)
 
-    def title(self, draw: ImageDraw.ImageDraw, text: str) -> None:
-        """Writes the scene's name and what is flown."""
-        u = self._unit
-        big, small = font(24 * u, True), font(19 * u)
-        name = fitted(self._scene.name, big, 420 * u)
-        width = max(big.getlength(name), small.getlength(text))
-        draw.rounded_rectangle((20 * u, 20 * u, 52 * u + width, 96 * u), 10 * u, PANEL)
-        draw.text((36 * u, 44 * u), name, WHITE, big, anchor="lm")
-        draw.text((36 * u, 74 * u), text, GREY, small, anchor="lm")
-
     def instruments(
         self, image: Image.Image, time: float, speed: float, goal: str, distance: float, items: str
     ) -> None:
@@ -202,20 +192,21 @@ class Hud:
 
     def shield(self, draw: ImageDraw.ImageDraw) -> None:
         """Draws a mark above the instruments: the shield changes the command that is flown."""
-        u = self._unit
-        left, bottom = 20 * u, self._height - 184 * u
-        letters = font(18 * u, True)
-        right = left + 54 * u + letters.getlength("shield")
-        draw.rounded_rectangle((left, bottom - 36 * u, right, bottom), 10 * u, PANEL)
-        x, y, s = left + 23 * u, bottom - 18 * u, 10 * u
-        crest = [(-0.8, -0.85), (0.0, -1.1), (0.8, -0.85), (0.75, 0.1), (0.0, 1.1), (-0.75, 0.1)]
-        draw.polygon([(x + s * across, y + s * down) for across, down in crest], SHIELD)
-        draw.text((left + 40 * u, y), "shield", WHITE, letters, anchor="lm")
+        place = 70 * self._unit, self._height - 202 * self._unit
+        pill(draw, place, "shield", round(20 * self._unit), SHIELD)
 
-    def card(self, image: Image.Image, lines: list[tuple[str, Colour]]) -> None:
-        """Draws a plate with a big first line at the top left: opening and result."""
-        u, draw = self._unit, ImageDraw.Draw(image, "RGBA")
-        room = self._settings.size[0] - 120 * u
+    def card(
+        self, image: Image.Image, lines: list[tuple[str, Colour]], scale: float = 1.0,
+        share: float = 0.9,
+    ) -> None:  # fmt: skip
+        """Draws a plate with a big first line at the top left: opening, what is flown, result.
+
+        Args:
+            image: drawn on. lines: text and colour of each. scale: size of the plate.
+            share: the share of the picture's width that text may take.
+        """
+        u, draw = scale * self._unit, ImageDraw.Draw(image, "RGBA")
+        room = share * self._settings.size[0]
         rows = []
         for row, (text, colour) in enumerate(lines):
             letters = font(21 * u) if row else font(32 * u, True)

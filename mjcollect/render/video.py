@@ -1,4 +1,4 @@
-"""Films flights: `render_video`, and `python -m mjcollect.render --run DIR` for run folders.
+"""Films run folders, as `python -m mjcollect.render --run DIR` does.
 
 mujoco reads MUJOCO_GL when it is imported, so programs that have imported it already, or that
 must run without GL, use `render_in_child`.
@@ -13,13 +13,13 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from mjcollect.render.arrivals import progress
@@ -29,7 +29,6 @@ from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, Trajectory, load_shield
 
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
-RUN_FPS = 25
 LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).
 BAR = "video"  # The progress bar's line begins with this.
 LATER = "python -m mjcollect.render --run"
@@ -39,78 +38,18 @@ class RenderError(RuntimeError):
     """Says that no video could be made; the message says why and what to do."""
 
 
-def render_video(
-    path: str | os.PathLike[str],
-    scene: Scene,
-    trajectory: Trajectory,
-    order: Sequence[int],
-    segment: int | None = None,
-    *,
-    settings: VideoSettings | None = None,
-    shielded: ArrayLike = (),
-    show_progress: bool = False,
-) -> None:
-    """Writes an H.264 video of a flight; needs MUJOCO_GL set before mujoco was imported.
+def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = None) -> Path:
+    """Writes the video of a run folder, segment.mp4 or mission.mp4, with a progress bar on stderr.
 
-    Args:
-        path: of the .mp4, replaced in one step when the video is complete.
-        scene, trajectory, order: what was flown; a flight that ends early is shown as far as
-            it goes.
-        segment: 0..K if the trajectory is one segment, None if it is a mission.
-        settings: size, frame rate and the like.
-        shielded: (n, 2) seconds from begin to end of the times in which the shield acted, which
-            are marked.
-        show_progress: draw a progress bar on stderr.
-
-    Raises:
-        ValueError: there is no such order or segment.
-        RenderError: no GL or no ffmpeg.
-    """
-    settings = settings or VideoSettings()
-    done = progress(scene, trajectory, order, segment)
-    import imageio_ffmpeg
-    import mediapy
-
-    try:
-        mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
-    except RuntimeError as error:
-        raise RenderError(f"no ffmpeg ({_line(error)}); pip install imageio-ffmpeg") from None
-    _check_gl()
-    from mjcollect.render.frames import Film
-
-    film = Film(done, settings, np.reshape(shielded, (-1, 2)))
-    path = Path(path)
-    part = path.with_name(f".{path.stem}.part.mp4")
-    try:
-        with (
-            closing(film.frames()) as frames,
-            mediapy.VideoWriter(
-                part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
-                ffmpeg_args="-preset veryfast -movflags +faststart",
-            ) as writer,
-        ):  # fmt: skip
-            for frame in tqdm(
-                frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True,
-                disable=not show_progress,
-            ):  # fmt: skip
-                writer.add_image(frame)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def render_run(
-    folder: str | os.PathLike[str], *, samples: int = 0, show_progress: bool = False
-) -> Path:
-    """Writes the video of a run folder: segment.mp4 or mission.mp4.
+    MUJOCO_GL must have been set before mujoco was imported. A flight that ended early is shown as
+    far as it goes; times in which the shield acted are marked.
 
     Args:
         folder: of a finished run.
-        samples: as in `VideoSettings`.
-        show_progress: draw a progress bar on stderr.
+        settings: size, frame rate and the like; the run says speed and caption.
 
     Returns:
-        The video's path.
+        The video's path, whose file is replaced in one step when the video is complete.
 
     Raises:
         RenderError: the folder is not a readable run, or no video could be made.
@@ -127,24 +66,45 @@ def render_run(
         trajectory = Trajectory.load(folder / "trajectory.csv")
         shielded = load_shield(folder / SHIELD_FILE)
         result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
-        order, segment = list(result["order"]), result["segment"] if kind == "segment" else None
+        segment = result["segment"] if kind == "segment" else None
+        done = progress(scene, trajectory, list(result["order"]), segment)
         caption = _caption(result)
     except (OSError, SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RenderError(
             f"{folder}: not a readable run ({type(error).__name__}: {_line(error)}); "
             "run the training or flight again"
         ) from None
+    import imageio_ffmpeg
+    import mediapy
+
+    try:
+        mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    except RuntimeError as error:
+        raise RenderError(f"no ffmpeg ({_line(error)}); pip install imageio-ffmpeg") from None
+    _check_gl()
+    from mjcollect.render.frames import Film
+
     # In quarters, so that the speed that is written on the frames is short.
     speed = max(1.0, math.ceil(4 * trajectory.duration / LONGEST) / 4)
-    settings = VideoSettings(fps=RUN_FPS, speed=speed, caption=caption, samples=samples)
-    path = folder / f"{kind}.mp4"
+    settings = replace(settings or VideoSettings(), speed=speed, caption=caption)
+    film = Film(done, settings, np.reshape(shielded, (-1, 2)))
+    path, part = folder / f"{kind}.mp4", folder / f".{kind}.part.mp4"
     try:
-        render_video(
-            path, scene, trajectory, order, segment,
-            settings=settings, shielded=shielded, show_progress=show_progress,
-        )  # fmt: skip
+        with (
+            closing(film.frames()) as frames,
+            mediapy.VideoWriter(
+                part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
+                ffmpeg_args="-preset veryfast -movflags +faststart",
+            ) as writer,
+        ):  # fmt: skip
+            bar = tqdm(frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True)
+            for frame in bar:
+                writer.add_image(frame)
+        os.replace(part, path)
     except (OSError, ValueError) as error:
         raise RenderError(f"{path}: cannot be written ({_line(error)})") from None
+    finally:
+        part.unlink(missing_ok=True)
     return path
 
 
