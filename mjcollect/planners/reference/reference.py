@@ -1,36 +1,36 @@
 """Plans a mission in the fewest slots that it can find, with the whole scene known.
 
 It shows how far other pilots are from the limit. Three parts work together: an MPC's flight, or
-the shortest way, decides on which side of the boxes each segment passes, and `routes` what that
-costs; a small model of all segments (`slot_allotment`) decides how many slots each needs, with
-every stop anywhere in its ball; and a cone program of the whole mission (`mission_program`) finds
-the motion in these slots, solved anew round its last solution as the planes between path and boxes
-turn. Where that finds nothing better than the MPC's flight, the MPC's flight is the plan.
+the shortest way, decides on which side of the boxes each segment passes; a small model of all
+segments (`slot_allotment`) decides how many slots each needs, with every stop anywhere in its ball;
+and a cone program of the whole mission (`mission_program`) finds the motion in these slots, solved
+anew round its last solution as the planes between path and boxes turn. Where that finds nothing
+better than the MPC's flight, the MPC's flight is the plan.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.episode import Episodes
+from mjcollect.envs.episode import Episodes, Rules
+from mjcollect.flight.straight_line import roll_out
 from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.polyline import path_length
+from mjcollect.geometry.polyline import interpolate, path_length, point_along, tighten
 from mjcollect.planners.mpc import INSIDE, Mpc
-from mjcollect.planners.reference.detours import detours
 from mjcollect.planners.reference.mission_program import Motion, TourProgram
-from mjcollect.planners.reference.rehearsal import Rehearsal, rehearse
-from mjcollect.planners.reference.routes import PricedPath, explore, fitted, guess
-from mjcollect.planners.reference.slot_allotment import Allotments, Slots, least_slots, reach
+from mjcollect.planners.reference.slot_allotment import Allotments, Slots, fastest
 from mjcollect.planners.slot_program import COMFORT
+from mjcollect.scene.scene import Scene
 
-PASSES = 4  # Fewer slots are looked for at most this often, along the ways of the last success.
 HOPE = -1.0  # An allotment is tried if its margin is at least this (m).
-TURNS = 2  # Other ways past the boxes are looked for at most this often.
-NOTED = 0.1  # Another way replaces the present one if it is shorter by more than this (m).
+SHAPE = 0.1  # The tight shape of a way keeps this margin to boxes beyond the body's radius (m).
 TRIED = 3  # At most this many allotments with the same total of slots are tried.
 SOFT_ROUNDS = 6  # A program is solved anew at most this often while boxes are overlapped.
 ROUNDS = 10  # A program is solved at most this often in all.
@@ -38,6 +38,19 @@ GAIN = 0.02  # A round must shrink the total miss by at least this share, else t
 # Where there is no flight yet, slots are allotted as for ways that are longer by these factors.
 DETOUR_FACTORS = (1.2, 1.5, 2.0, 3.0)
 HIT = INSIDE / 2  # A stop may miss its ball, whose radius is reduced by INSIDE, by this much (m).
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Holds the flight of a finished course.
+
+    Attributes:
+        commands: (N, 3) accelerations in m/s^2, as the rules of flight let them be flown.
+        segments: positions (M + 1, 3) in m at each segment's slot starts, both stops included.
+    """
+
+    commands: Array
+    segments: list[Array]
 
 
 class NoFlight(ValueError):
@@ -51,6 +64,7 @@ class Reference:
 
     Attributes:
         counts: allotments `tried`, and motions `refused` by the rules of flight.
+        statuses: how often the solver ended in each status, without the MPC's solves.
         mpc_slots: number of slots of the MPC's flight, None if it did not arrive.
     """
 
@@ -63,15 +77,10 @@ class Reference:
             for guide in course.guidance
         ]
         self._balls, self._program = balls, TourProgram(self._scene, balls)
-        self._solver: Counter[str] = Counter()
         self._best: Rehearsal | None = None
+        self.statuses: Counter[str] = self._program.statuses
         self.counts: Counter[str] = Counter()
         self.mpc_slots: int | None = None
-
-    @property
-    def statuses(self) -> Counter[str]:
-        """Returns how often the solver ended in each status, without the MPC's solves."""
-        return self._program.statuses + self._solver
 
     def summary(self) -> str:
         """Returns a sentence that says how the plan was made."""
@@ -119,23 +128,18 @@ class Reference:
         if best is None:
             self._tell("reference: the MPC does not arrive; planning from the shortest ways")
             best = self._from_ways()
-        for number in range(PASSES):
-            self._tell(f"reference: {len(best.commands)} slots; looking for fewer")
-            better = self._fewer(best, widely=number == 0)
-            if better is None:
-                return best
+        better: Rehearsal | None = best
+        while better is not None:
             best = better
+            self._tell(f"reference: {len(best.commands)} slots; looking for fewer")
+            better = self._fewer(best)
         return best
 
     def _from_ways(self) -> Rehearsal:
         """Returns a flight along the shortest ways, in more slots than are needed."""
-        guides = self._course.guidance
         for factor in DETOUR_FACTORS:
-            paths = []
-            for guide in guides:
-                slots = max(least_slots(self._scene, factor * path_length(guide.path)), 2)
-                paths.append(guess(guide.path, self._scene, slots))
-            flight = self._attempt(paths)
+            ways = [guide.path for guide in self._course.guidance]
+            flight = self._attempt([_guess(way, self._scene, factor) for way in ways])
             if flight is not None:
                 return flight
         raise NoFlight(
@@ -143,69 +147,24 @@ class Reference:
             "found, by the MPC or all at once; widen the gaps between the boxes along the way"
         )
 
-    def _fewer(self, flight: Rehearsal, widely: bool) -> Rehearsal | None:
-        """Returns a flight in fewer slots along the best ways known, or None."""
-        ways = self._ways(flight, widely)
-        start = self._scene.point(self._course.nodes[0])
-        routes = [way.route for way in ways]
-        allotments = Allotments(self._scene, start, self._balls, routes)
-        totals: list[list[Slots]] = []
-        slots = flight.slots
-        while found := allotments.fewer(slots):
-            slots = found[0]
-            if allotments.margin(slots) < HOPE:
-                break
-            totals.append(found[:TRIED])
-        better = None
-        for candidates in reversed(totals):
-            for slots in candidates:
-                if better is None and allotments.margin(slots) >= HOPE:
-                    stops = np.concatenate([start[None], allotments.stops(slots)])
-                    paths = [
-                        fitted(way.path, number, stops[k], stops[k + 1])
-                        for k, (way, number) in enumerate(zip(ways, slots, strict=True))
-                    ]
-                    better = self._attempt(paths)
-        self._solver += allotments.statuses
-        return better
-
-    def _ways(self, flight: Rehearsal, widely: bool) -> list[PricedPath]:
-        """Returns the shortest way of each segment: as flown or, if `widely`, past other sides."""
-        ways = []
-        for k, (path, guide) in enumerate(zip(flight.segments, self._course.guidance, strict=True)):
-            best = explore(self._scene, path, self._solver)
-            if widely and len(best.route.corners):
-                self._tell(f"reference: segment {k} turns round boxes; trying other ways")
-                guided = np.concatenate([path[:1], guide.path[1:-1], path[-1:]])
-                best = self._shortest(best, [guided, path[[0, -1]]], len(path) - 1)
-                best = self._past_others(best, path)
-            ways.append(best)
-        return ways
-
-    def _past_others(self, best: PricedPath, path: Array) -> PricedPath:
-        """Returns a way past other sides of the boxes than `path` (M + 1, 3), or else `best`."""
-        scene = self._scene
-        worth = scene.v_max * scene.slot / 2  # The least gain worth a search: half a slot (m).
-        straight = float(np.linalg.norm(path[-1] - path[0]))
-        for _ in range(TURNS):
-            length = min(best.length, reach(scene, len(path) - 1))
-            if length < straight + worth:
-                break
-            way = np.concatenate([path[:1], best.route.corners, path[-1:]])
-            others = detours(scene, way, length)
-            better = self._shortest(best, others, least_slots(scene, length) + 1)
-            if better is best:
-                break
-            best = better
-        return best
-
-    def _shortest(self, best: PricedPath, others: Sequence[Array], slots: int) -> PricedPath:
-        """Returns the shortest of `best` and ways along other polylines, first tried in `slots`."""
-        for other in others:
-            found = explore(self._scene, guess(other, self._scene, slots), self._solver)
-            if found.length < best.length - NOTED:
-                best = found
-        return best
+    def _fewer(self, flight: Rehearsal) -> Rehearsal | None:
+        """Returns a flight in fewer slots past the same sides of the boxes, or None."""
+        boxes, radius = self._scene.obstacles, self._scene.uav_radius + SHAPE
+        ways = [tighten(path, boxes, radius) for path in flight.segments]
+        slots = tuple(len(path) - 1 for path in flight.segments)
+        allotments = Allotments(self._scene, self._balls, ways, slots, self.statuses)
+        hopeful = list[Slots]()  # The fewest slots come first.
+        while found := [
+            less for less in allotments.fewer(slots)[:TRIED] if allotments.margin(less) >= HOPE
+        ]:
+            hopeful, slots = found + hopeful, found[0]
+        for slots in hopeful:
+            stops = [ways[0][0], *allotments.stops(slots)]
+            parts = zip(flight.segments, slots, itertools.pairwise(stops), strict=True)
+            better = self._attempt([_fitted(path, number, *ends) for path, number, ends in parts])
+            if better is not None:
+                return better
+        return None
 
     def _attempt(self, paths: Sequence[Array]) -> Rehearsal | None:
         """Returns a flight near `paths` in as many slots, or None."""
@@ -241,3 +200,44 @@ class Reference:
 
         flight = rehearse(self._course, pilot)
         return flight if flight is not None and len(flight.commands) <= len(actions) else None
+
+
+def rehearse(course: Course, pilot: Callable[[Episodes], Array]) -> Rehearsal | None:
+    """Flies `course` from rest exactly at its start; returns None if it is not finished.
+
+    Args:
+        pilot: maps the episode to an action (3,) in units of a_max.
+    """
+    episodes = Episodes([course], 1, Rules(shield=False))
+    episodes.reset(np.array([0]), course.scene.point(course.nodes[0])[None], np.zeros((1, 3)))
+    sensed = np.zeros((1, course.scene.substeps), dtype=bool)
+    commands, q, segments = [], [episodes.q[0].copy()], list[Array]()
+    while True:
+        a = episodes.begin_slot(pilot(episodes)[None])
+        path, speeds = roll_out(episodes.world, episodes.q[0], episodes.v[0], a)
+        outcome = episodes.end_slot(path[:, 1:], speeds[:, -1], sensed)
+        commands.append(a[0].copy())
+        q.append(episodes.q[0].copy())
+        if outcome.slot.arrived[0]:
+            segments.append(np.array(q))
+            q = q[-1:]
+        if outcome.success[0]:
+            return Rehearsal(np.array(commands), segments)
+        if outcome.terminated[0] or outcome.truncated[0]:
+            return None
+
+
+def _guess(way: Array, scene: Scene, factor: float) -> Array:
+    """Returns positions (M + 1, 3) of a motion along a polyline (P, 3) `factor` times as long."""
+    length, ramp = path_length(way), scene.v_max / scene.a_max
+    slots = 1 + math.ceil((factor * length / scene.v_max + ramp) / scene.slot)
+    covered = np.cumsum(fastest(scene, slots))
+    return point_along(way, covered * (length / covered[-1]))
+
+
+def _fitted(path: Array, slots: int, begin: Array, end: Array) -> Array:
+    """Returns the motion `path` (M + 1, 3) in another slot count, shifted to other ends (3,)."""
+    at = np.linspace(0.0, len(path) - 1.0, slots + 1)
+    path = interpolate(path, np.arange(0.0, len(path)), at)
+    share = np.linspace(0.0, 1.0, slots + 1)[:, None]
+    return np.asarray(path + (1 - share) * (begin - path[0]) + share * (end - path[-1]))
