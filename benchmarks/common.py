@@ -38,7 +38,7 @@ class Output:
 def segment_course(seed: int, number: int, layout: str | None = None) -> Course | None:
     """Returns the course of a generated segment; None where the guidance finds no way."""
     try:
-        return draw_segment(seed, number, layout).course()
+        return Course.segment(*draw_segment(seed, number, layout))
     except GuidanceError:
         return None
 

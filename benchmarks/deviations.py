@@ -25,8 +25,8 @@ from benchmarks.common import Row, grouped, load_rows, save
 from mjcollect.envs.course import Course
 from mjcollect.scene.order import first_blocked, plan_order
 from mjcollect.scene.scene import Scene
-from train.jobs.workers import Done, Job, open_workers, run_jobs, settings_arguments
-from train.support.command_line import INTERRUPTED, say, stop_on_ctrl_c
+from train.jobs.workers import Done, Job, LocalWorkers, run_jobs, settings_arguments
+from train.support.command_line import INTERRUPTED, say
 from train.support.markdown import markdown_table
 from train.support.presets import PAPER, with_slot
 
@@ -181,9 +181,8 @@ def run(cells: Sequence[Cell], results: dict[str, Row], args: Args) -> int:
             say(f"{have} of {len(cells)} cells: {cell.change.name}, {done.message}")
             save(args.out, {"results": list(results.values())}, args)
 
-        with stop_on_ctrl_c() as stopped, open_workers(args.workers, ray=False) as workers:
-            if not run_jobs(workers, jobs, finished, stopped):
-                return INTERRUPTED
+        if not run_jobs(LocalWorkers(args.workers), jobs, finished):
+            return INTERRUPTED
     return 0 if all(cell.command in results for cell in cells) else 1
 
 

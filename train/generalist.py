@@ -11,7 +11,6 @@ cluster; with a GPU, `--device cuda` learns there.
 from __future__ import annotations
 
 import dataclasses
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ import numpy as np
 import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
+from mjcollect.envs.course import Course
 from mjcollect.envs.observation import DISTURBED
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
@@ -34,7 +34,7 @@ from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
 from train.jobs.workers import connect_ray, need_ray
 from train.support.arguments import check_device, check_least
 from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
-from train.support.run_folder import RunError, RunFolder, default_folder, versions
+from train.support.run_folder import RunError, RunFolder, default_folder, finite, versions
 from train.support.training_loop import learn_to_the_end
 
 HELD_OUT = 1_000_000  # Segments are never trained on from this number on.
@@ -103,7 +103,7 @@ class Generalist:
         if args.shards > 0:
             self._crew = LocalCrew(args.shards) if args.ray is None else RayCrew(args.shards)
         config, seed = args.learn, args.seed
-        courses = [draw_segment(seed, number).course(pool) for number in held_out]
+        courses = [Course.segment(*draw_segment(seed, number), pool) for number in held_out]
         disturbances = None
         if args.disturbed > 0.0:  # Starts are calm at the point itself, disturbed in its ball.
             calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
@@ -167,7 +167,7 @@ def simulations(
     name = f"rotation {rotation}" + (f" shard {part}" if args.shards else "")
     rng = np.random.default_rng(stream(args.seed, name))
     drawn = rng.choice(numbers, min(-(-args.courses // shards), len(numbers)), replace=False)
-    segments = [draw_segment(args.seed, int(number)).course(pool) for number in drawn]
+    segments = [Course.segment(*draw_segment(args.seed, int(n)), pool) for n in drawn]
     disturbances = None
     if args.disturbed > 0.0:
         calm = rng.permutation(envs) >= round(args.disturbed * envs)
@@ -207,8 +207,6 @@ def train_generalist(args: Args) -> int:
         generalist = Generalist(args, numbers, (folder.path / "pool").resolve())
         try:
             if not _learn(generalist, folder, args):
-                updates = generalist.trainer.learner.updates
-                say(f"stopped after {updates} updates, saved; go on with --resume")
                 return INTERRUPTED
             _finish(generalist.trainer, folder, numbers)
         finally:
@@ -299,8 +297,8 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
     folder.write_json(
         "generalist.json",
         {
-            "held_out": _finite(dataclasses.asdict(trainer.best)),
-            "law": _finite(dataclasses.asdict(trainer.evaluator.law())),
+            "held_out": {k: finite(v) for k, v in dataclasses.asdict(trainer.best).items()},
+            "law": {k: finite(v) for k, v in dataclasses.asdict(trainer.evaluator.law()).items()},
             "best_update": trainer.best_update,
             "updates": trainer.learner.updates,
             "env_steps": trainer.env_steps,
@@ -311,11 +309,6 @@ def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[
             "versions": versions(),
         },
     )  # fmt: skip
-
-
-def _finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Replaces NaN and infinity, which JSON cannot hold, by None."""
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 def _report(folder: RunFolder) -> int:

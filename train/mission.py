@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
-from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.scene import Scene
@@ -25,20 +24,21 @@ from train.jobs.processes import warm_up
 from train.jobs.workers import (
     Done,
     Job,
+    LocalWorkers,
+    RayWorkers,
     attempt_seed,
     connect_ray,
-    learn_arguments,
     need_ray,
-    open_workers,
     run_jobs,
+    settings_arguments,
 )
 from train.support.arguments import TrainingArgs, check_device, check_least
-from train.support.command_line import INTERRUPTED, run_program, say, stop_on_ctrl_c
+from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_display import MissionDisplay
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder
-from train.support.starting_policy import check_size, start_from
+from train.support.starting_policy import OtherNetwork, check_size, start_from
 
 MOST_SEGMENT_VIDEOS = 10  # With more items than this, only the whole mission is filmed.
 
@@ -153,19 +153,15 @@ def _check(args: Args) -> None:
 
 def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:
     """Returns the arguments fitted to the policy to start from, and that policy if any."""
-    usual, learn = LearnConfig(), args.learn
-    if args.policy == SHIPPED:
-        shipped = start_from(SHIPPED, usual)[0]
-        for field in ("observation", "width"):
-            value, own = getattr(learn, field), getattr(shipped, field)
-            if value not in (getattr(usual, field), own):
-                say(f"--{field}: {value}: not that of the policy shipped; learning from scratch")
-                args = dataclasses.replace(args, policy=NO_POLICY)
-                break
-    if args.policy == NO_POLICY:
-        return args, None
-    policy, learn = start_from(args.policy, learn)
-    return dataclasses.replace(args, learn=learn), policy
+    if args.policy != NO_POLICY:
+        try:
+            policy, learn = start_from(args.policy, args.learn)
+            return dataclasses.replace(args, learn=learn), policy
+        except OtherNetwork as error:
+            if args.policy != SHIPPED:
+                raise
+            say(f"{error}: that is done")
+    return dataclasses.replace(args, policy=NO_POLICY), None
 
 
 def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) -> bool:
@@ -194,7 +190,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--seed", str(attempt_seed(args.seed, index, attempt)),
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
-            *learn_arguments(args.learn),
+            *settings_arguments(dataclasses.asdict(args.learn)),
             "--guidance-cache", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
             *_from_policy(args.policy, attempt),
@@ -210,10 +206,11 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
         return job(index)
 
     display = MissionDisplay(folder, scene, order, args.learn.updates)
-    opened = open_workers(args.workers, ray=args.ray is not None)
-    with stop_on_ctrl_c() as stopped, display.shown(), opened as workers:
-        jobs = [found for index in range(len(order) + 1) if (found := job(index))]
-        return run_jobs(workers, jobs, retry, stopped)
+    jobs = [found for index in range(len(order) + 1) if (found := job(index))]
+    with display.shown():
+        return run_jobs(
+            LocalWorkers(args.workers) if args.ray is None else RayWorkers(), jobs, retry
+        )
 
 
 def _from_policy(policy: Path, attempt: int) -> list[str]:

@@ -30,7 +30,7 @@ from train.support.arguments import TrainingArgs, check_device, check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_report import film, write_record
 from train.support.presets import with_preset, with_slot
-from train.support.run_folder import RunError, RunFolder, default_folder, versions
+from train.support.run_folder import RunError, RunFolder, default_folder, finite, versions
 from train.support.starting_policy import check_size, start_from
 from train.support.training_loop import learn_to_the_end
 
@@ -103,27 +103,21 @@ def _run(
     policy: TrainedPolicy | None,
 ) -> int:  # fmt: skip
     trainer = segment_trainer(course, args.learn, args.seed, args.device, policy)
+    goal = segment_bound(course.scene, *course.nodes)
     try:
-        if not _learn(trainer, course, folder, args):
-            say(f"stopped after {trainer.learner.updates} updates, saved; go on with --resume")
+        if not learn_to_the_end(
+            trainer,
+            folder,
+            {"trainer": trainer, "buffer": trainer.buffer},
+            lambda row: _progress(row, goal),
+            resume=args.resume,
+            checkpoint_every=args.checkpoint_every,
+        ):
             return INTERRUPTED
         _finish(trainer, course, folder, order, index, args.plots)
     finally:
         trainer.close()
     return _report(folder, args.video)
-
-
-def _learn(trainer: Trainer, course: Course, folder: RunFolder, args: Args) -> bool:
-    """Trains to the end; returns False if Ctrl-C stopped it, after a checkpoint."""
-    goal = segment_bound(course.scene, *course.nodes)
-    return learn_to_the_end(
-        trainer,
-        folder,
-        {"trainer": trainer, "buffer": trainer.buffer},
-        lambda row: _progress(row, goal),
-        resume=args.resume,
-        checkpoint_every=args.checkpoint_every,
-    )
 
 
 def _progress(row: dict[str, float], bound: float) -> str:
@@ -151,7 +145,7 @@ def _finish(
     detour = detour_bound(scene, start_node, end_node, course.guidance[0].length)
     law = trainer.evaluator.law()
     rivals = {
-        "law_time": _number(law.point_time),
+        "law_time": finite(law.point_time),
         "mpc_time": _mpc_time(course, order, index) if plots else None,
     }
     folder.write_metrics(trainer.rows)
@@ -179,8 +173,8 @@ def _finish(
             "detour_time": detour,
             "success": success,
             "success_rate": trainer.best.success_rate if trainer.best else 0.0,
-            "best_mean_time": _number(trainer.best.mean_time) if trainer.best else None,
-            "last_mean_time": _number(trainer.last.mean_time) if trainer.last else None,
+            "best_mean_time": finite(trainer.best.mean_time) if trainer.best else None,
+            "last_mean_time": finite(trainer.last.mean_time) if trainer.last else None,
             "last_success_rate": trainer.last.success_rate if trainer.last else 0.0,
             "shield_share": flight.shield_share,
             **rivals,
@@ -202,11 +196,6 @@ def _mpc_time(course: Course, order: tuple[int, ...], index: int) -> float | Non
     flight = fly_planner(course, Mpc(course))
     fails = not flight.success or verify(course.scene, flight.trajectory, order, segment=index)
     return None if fails else flight.trajectory.duration
-
-
-def _number(value: float) -> float | None:
-    """Returns None for NaN and infinity, which JSON cannot hold."""
-    return value if math.isfinite(value) else None
 
 
 def _report(folder: RunFolder, video: bool) -> int:

@@ -18,16 +18,11 @@ from mjcollect.scene.scene import Scene
 
 
 def main() -> None:
-    """Flies a small scene and computes one backward pass."""
-    fly_small()
+    """Computes one backward pass and flies one slot of a small scene."""
     d, h, z = (torch.ones(2, 4) for _ in range(3))
     mean, rstd, scale = torch.zeros(2, 1), torch.ones(2, 1), torch.ones(4)
     out = torch.empty(4), torch.empty(4), torch.empty(4)
     norm_relu_backward(d, h, z, mean, rstd, scale, 2, out)
-
-
-def fly_small() -> None:
-    """Flies one slot of a small scene."""
     scene = Scene(
         name="warm-up",
         seed=0,

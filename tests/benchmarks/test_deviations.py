@@ -120,7 +120,7 @@ def test_goes_on_where_it_stopped(tmp_path, monkeypatch):
     """An error leaves its cell out, which is run again; nothing else is."""
     asked = []
 
-    def run_jobs(workers, jobs, finished, tick):
+    def run_jobs(workers, jobs, finished):
         for job in jobs:
             asked.append(job.arguments)
             job.folder.mkdir()

@@ -353,7 +353,7 @@ def test_starts_from_the_shipped_policy_unless_told_not_to(scene_file, tmp_path,
     """`--width 8` of TINY asks for another network, which says so and learns from nothing."""
     tiny = [word for word in TINY if word not in ("--policy", "none")]
     assert begun(scene_file, tmp_path / "tiny", *tiny)[1] is None
-    assert "--width: 8: not that of the policy shipped" in capsys.readouterr().err
+    assert "--width: 8: the policy of --policy shipped has 192" in capsys.readouterr().err
     few = ("--updates", "8", "--extra-updates", "0", "--eval-every", "8")
     out = tmp_path / "shipped"
     code, weights = begun(scene_file, out, *few, "--width", "192")

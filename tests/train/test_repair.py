@@ -3,7 +3,6 @@
 import hashlib
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -88,7 +87,7 @@ def test_the_shipped_policy_arrives_in_scenes_it_was_not_trained_on(layout):
     policy = TrainedPolicy.load(weights_file(SHIPPED))
     level = Disturbance(wind=2.0, gain=0.1)
     for number in range(HELD_OUT + 50_000, HELD_OUT + 50_003):
-        course = draw_segment(0, number, layout).course(Path("nowhere"))
+        course = Course.segment(*draw_segment(0, number, layout))
         calm = np.array([True, False])
         disturbances = Disturbances(level, 2, np.random.default_rng(number), calm=calm)
         sims = Simulations([course], 2, rules=Rules(policy.observation), threads=1,

@@ -1,9 +1,11 @@
 """Running a mission's trainings: retries, seeds, packing."""
 
+import signal
+from dataclasses import asdict
 from pathlib import Path
 
 from mjcollect.learning.config import LearnConfig
-from train.jobs.workers import Done, Job, attempt_seed, learn_arguments, pack, run_jobs, unpack
+from train.jobs.workers import Done, Job, attempt_seed, pack, run_jobs, settings_arguments, unpack
 
 
 class Fake:
@@ -33,7 +35,7 @@ def test_every_job_and_every_retry_runs():
     def retry(done):
         return job(done.job.index, "again") if not done.job.arguments else None
 
-    assert run_jobs(fake, [job(0), job(1), job(2)], retry, lambda: False)
+    assert run_jobs(fake, [job(0), job(1), job(2)], retry)
     assert sorted((j.index, j.arguments) for j in fake.submitted) == [
         (k, a) for k in range(3) for a in [(), ("again",)]
     ]
@@ -41,7 +43,7 @@ def test_every_job_and_every_retry_runs():
 
 def test_a_stop_leaves_the_rest():
     fake = Fake()
-    assert not run_jobs(fake, [job(0)], lambda done: None, lambda: True)
+    assert not run_jobs(fake, [job(0), job(1)], lambda done: signal.raise_signal(signal.SIGINT))
     assert len(fake.waiting) == 1
 
 
@@ -57,7 +59,7 @@ def test_settings_survive_the_command_line():
     from train.segment import Args
 
     config = LearnConfig(updates=7, noise_max=0.123456789012345, observation="paper")
-    assert tyro.cli(Args, args=learn_arguments(config)).learn == config
+    assert tyro.cli(Args, args=settings_arguments(asdict(config))).learn == config
 
 
 def test_a_packed_folder_unpacks_the_same(tmp_path):

@@ -27,27 +27,12 @@ OBSTACLES = (5, 60)
 SCALE = (0.3, 1.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class DrawnSegment:
-    """Names a segment: its scene, the scene's visiting order, and its number in it."""
+def draw_segment(
+    seed: int, number: int, layout: str | None = None
+) -> tuple[Scene, tuple[int, ...], int]:
+    """Returns segment `number` of the pool of a seed: scene, visiting order, and number in it.
 
-    scene: Scene
-    order: tuple[int, ...]
-    index: int
-
-    def course(self, folder: Path | None = None) -> Course:
-        """Returns its course, with guidance from the files in `folder` if it is there.
-
-        Raises:
-            GuidanceError: The guidance finds no way.
-        """
-        return Course.segment(self.scene, self.order, self.index, folder)
-
-
-def draw_segment(seed: int, number: int, layout: str | None = None) -> DrawnSegment:
-    """Draws layout, numbers, size and place of segment `number` of the pool of a seed.
-
-    The layout is one of `generate.LAYOUTS`; None draws it.
+    The layout is one of `generate.LAYOUTS`; None draws it, as size and place are drawn.
     """
     rng = np.random.default_rng(stream(seed, f"segment {number}"))
     layout = layout or str(rng.choice(LAYOUTS))
@@ -57,13 +42,13 @@ def draw_segment(seed: int, number: int, layout: str | None = None) -> DrawnSegm
     lengths = {field: np.round(getattr(scene, field) * factor, 3) for field in fields}  # whole mm
     scene = dataclasses.replace(scene, name=f"{scene.name}_x{factor:.2f}", **lengths)
     order = plan_order(scene, "lkh")
-    return DrawnSegment(scene, order, int(rng.integers(len(order) + 1)))
+    return scene, order, int(rng.integers(len(order) + 1))
 
 
 def build(seed: int, folder: Path, number: int) -> bool:
     """Builds a segment's guidance into `folder`; returns False where it finds no way."""
     try:
-        draw_segment(seed, number).course(folder).save_guidance(folder)
+        Course.segment(*draw_segment(seed, number), folder).save_guidance(folder)
     except GuidanceError:
         return False
     return True

@@ -7,23 +7,21 @@ not depend on where, or beside what, they run.
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
 import io
 import shutil
 import tarfile
 import tempfile
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.random_streams import stream
 from train.jobs.processes import Program, ended
+from train.support.command_line import stop_on_ctrl_c
 from train.support.run_folder import RunError
 
 
@@ -57,11 +55,6 @@ def attempt_seed(seed: int, segment: int, attempt: int) -> int:
     """Returns the seed of the `attempt`-th training of a segment, from the mission's seed."""
     name = f"segment {segment} attempt {attempt}"
     return int(stream(seed, name).generate_state(1, np.uint32)[0])
-
-
-def learn_arguments(config: LearnConfig) -> list[str]:
-    """Returns the learner's settings as command line arguments."""
-    return settings_arguments(dataclasses.asdict(config))
 
 
 def settings_arguments(settings: Mapping[str, bool | float | str]) -> list[str]:
@@ -228,45 +221,30 @@ def unpack(packed: bytes, folder: Path) -> None:
         part.rename(folder)
 
 
-Workers = LocalWorkers | RayWorkers
-
-
-@contextlib.contextmanager
-def open_workers(count: int, *, ray: bool) -> Iterator[Workers]:
-    """Gives local workers, or those of the connected Ray cluster, and stops them at the end."""
-    workers: Workers = RayWorkers() if ray else LocalWorkers(count)
-    try:
-        yield workers
-    finally:
-        workers.stop()
-
-
 def run_jobs(
-    workers: Workers,
-    jobs: Sequence[Job],
-    retry: Callable[[Done], Job | None],
-    tick: Callable[[], bool],
+    workers: LocalWorkers | RayWorkers, jobs: Sequence[Job], retry: Callable[[Done], Job | None]
 ) -> bool:
-    """Runs all jobs, and those that `retry` returns for finished ones.
+    """Runs all jobs, and those that `retry` returns for finished ones; stops the workers then.
 
     Args:
         retry: called with each finished job; returns the job to run in its place, or None.
-        tick: called several times a second; True stops everything.
 
     Returns:
-        Whether all were run.
+        Whether all were run; not so after Ctrl-C.
     """
-    for job in jobs:
-        workers.submit(job)
-    left = len(jobs)
-    while left:
-        if tick():
-            return False
-        done = workers.next_done(timeout=0.3)
-        if done is not None:
-            left -= 1
-            again = retry(done)
-            if again is not None:
-                workers.submit(again)
-                left += 1
-    return True
+    with stop_on_ctrl_c() as stopped:
+        try:
+            for job in jobs:
+                workers.submit(job)
+            left = len(jobs)
+            while left and not stopped():
+                done = workers.next_done(timeout=0.3)
+                if done is not None:
+                    again = retry(done)
+                    if again is None:
+                        left -= 1
+                    else:
+                        workers.submit(again)
+            return left == 0
+        finally:
+            workers.stop()

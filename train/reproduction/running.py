@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from train.jobs.workers import Done, Job, open_workers, run_jobs
+from train.jobs.workers import Done, Job, LocalWorkers, RayWorkers, run_jobs
 from train.reproduction.plan import Cell
-from train.support.command_line import progress_bar, stop_on_ctrl_c
+from train.support.command_line import progress_bar
 from train.support.run_folder import RunFolder, remove
 
 # What is left of a finished cell, unless everything is kept.
@@ -89,14 +89,10 @@ def fly_cells(
         bar.write(f"{cell.name}: {ended}", file=sys.stderr)
         bar.update(_seconds(cell))
 
-    with (
-        stop_on_ctrl_c() as stopped,
-        progress_bar(math.ceil(sum(map(_seconds, todo)))) as bar,
-        open_workers(workers, ray=ray) as opened,
-    ):
+    with progress_bar(math.ceil(sum(map(_seconds, todo)))) as bar:
         bar.bar_format = "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
         bar.write(f"{len(todo)} of {len(cells)} flights to be flown", file=sys.stderr)
-        return run_jobs(opened, jobs, finished, stopped), errors
+        return run_jobs(RayWorkers() if ray else LocalWorkers(workers), jobs, finished), errors
 
 
 def tidy(out: Path, cell: Cell, keep: bool) -> None:

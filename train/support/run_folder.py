@@ -7,6 +7,7 @@ import csv
 import fcntl
 import importlib.metadata
 import json
+import math
 import os
 import shlex
 import shutil
@@ -244,6 +245,11 @@ def remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()
+
+
+def finite(value: float) -> float | None:
+    """Returns None for NaN and infinity, which JSON cannot hold."""
+    return value if math.isfinite(value) else None
 
 
 def default_folder(kind: str, *parts: str) -> Path:

@@ -13,6 +13,10 @@ from mjcollect.learning.policy import UNREADABLE, TrainedPolicy, weights_file
 from train.support.run_folder import RunError
 
 
+class OtherNetwork(RunError):
+    """Says that settings ask for another observation or width than the policy has."""
+
+
 def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConfig]:
     """Returns the policy in a file, or `SHIPPED`, and settings with which to learn on from it.
 
@@ -20,7 +24,8 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
     update is made where it is good enough.
 
     Raises:
-        RunError: There is no such policy, or `learn` asks for another observation or width.
+        RunError: There is no such policy.
+        OtherNetwork: `learn` asks for another observation or width.
     """
     try:
         policy = TrainedPolicy.load(weights_file(path))
@@ -33,8 +38,9 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
     for field, value in (("observation", policy.observation), ("width", policy.width)):
         asked = getattr(learn, field)
         if asked not in (value, getattr(usual, field)):
-            raise RunError(
-                f"--{field}: {asked}: the policy of --policy {path} has {value}; leave one out"
+            raise OtherNetwork(
+                f"--{field}: {asked}: the policy of --policy {path} has {value}; leave one out, "
+                "or learn from scratch"
             )
     least = learn.least_updates
     return policy, replace(

@@ -52,5 +52,6 @@ def learn_to_the_end(
                 folder.save_checkpoint(**parts)
                 saved = updates
             if stopped() and not trainer.finished:
+                say(f"stopped after {updates} updates, saved; go on with --resume")
                 return False
     return True
