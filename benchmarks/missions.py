@@ -29,12 +29,12 @@ import tyro
 from benchmarks.common import Row, grouped, load_rows, save
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight, fly_law, record
-from mjcollect.generate import generate
 from mjcollect.learning.policy import SHIPPED, policy_digest
 from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.reference.reference import Reference
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
+from train.reproduction.plan import Sizes, random_scenes
 from train.support.markdown import markdown_table
 from train.support.mission_report import mission_result
 
@@ -141,11 +141,10 @@ PLANNERS: dict[str, Callable[[Course], tuple[Flight, Row]]] = {
 
 def scenes(args: Args) -> list[Scene]:
     """Returns all scenes."""
-    return [
-        generate(args.first_seed + number, args.items, layout=layout)
-        for layout, count in (("floating", args.floating), ("city", args.city))
-        for number in range(count)
-    ]
+    sizes = Sizes(
+        floating=args.floating, city=args.city, items=args.items, first_scene=args.first_seed
+    )
+    return list(random_scenes(sizes).values())
 
 
 def fly_mission(scene: Scene, name: str, args: Args) -> Row:

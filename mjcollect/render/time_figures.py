@@ -6,7 +6,6 @@ Figures are made without pyplot, so that no global matplotlib state is touched.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ DPI = 120
 # This is Okabe and Ito's palette, which the colour-blind can tell apart.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
 SKY, BLACK = "#56B4E9", "#222222"
-APART = 0.055  # Labels of two levels are at least this share of a panel's height apart.
 LABEL: dict[str, Any] = {"size": 11, "color": BLACK}
 # The learning figure has four panels and, at the right edge of the last, a second axis.
 PANELS = ("episode return", "share", "time (s)", "critic loss", "actor loss")
@@ -129,7 +127,7 @@ def plot_learning(
             of `CURVES` as far as they are there. With a column `segment`, every segment gets its
             own line, of the columns `BY_SEGMENT`.
         bound, detour, law_time, mpc_time: seconds of lower bound, detour time, and flights of the
-            guidance law and the MPC, drawn as levels beside the evaluated times.
+            guidance law and the MPC, drawn as levels among the evaluated times.
 
     Returns:
         The figure, also written to `path`.
@@ -158,11 +156,18 @@ def plot_learning(
     else:
         for panel, name, label, colour in CURVES:
             _curve(panels[panel], columns, name, label, colour)
+        levels = (
+            (bound, "bound", RED, ":"),
+            (detour, "detour", ORANGE, ":"),
+            (mpc_time, "MPC", SKY, (0.0, (3.0, 3.0))),
+            (law_time, "law", PURPLE, (3.0, (3.0, 3.0))),  # in the MPC's gaps, if they are equal
+        )
+        _levels(grid[1, 0], [level for level in levels if level[0] is not None])
         for axes in grid.flat:
             lines = [*axes.lines, *(twin.lines if axes is grid[1, 1] else ())]
             axes.legend(
                 handles=lines, loc="lower left", bbox_to_anchor=(0.0, 1.0),
-                ncol=len(lines) if 0 < len(lines) < 4 else 2, frameon=False, fontsize=9.5,
+                ncol=2 if len(lines) in (0, 4) else 3, frameon=False, fontsize=9.5,
                 borderaxespad=0.1, columnspacing=1.1, handlelength=1.6,
             )  # fmt: skip
     twin.set_visible(bool(twin.lines))
@@ -172,17 +177,7 @@ def plot_learning(
     for axes in grid[1]:
         axes.set_xlabel("environment steps", **LABEL)
         axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
-    levels = [
-        (bound, "bound", RED, ":"),
-        (detour, "detour", ORANGE, ":"),
-        (mpc_time, "MPC", SKY, (0.0, (3.0, 3.0))),
-        (law_time, "law", PURPLE, (3.0, (3.0, 3.0))),  # in the gaps of the MPC's, if they are equal
-    ]
-    levels = [level for level in levels if level[0] is not None]
-    if levels:
-        _levels(grid[1, 0], levels)
-    wide = 0.42 if levels else 0.24
-    made.subplots_adjust(left=0.07, right=0.93, top=0.93, bottom=bottom, hspace=0.2, wspace=wide)
+    made.subplots_adjust(left=0.07, right=0.93, top=0.93, bottom=bottom, hspace=0.22, wspace=0.24)
     save(made, path)
     return made
 
@@ -201,31 +196,17 @@ def _curve(axes: Any, columns: Mapping[str, Array], name: str, label: str, colou
 
 
 def _levels(axes: Any, levels: Sequence[tuple[float | None, str, str, Any]]) -> None:
-    """Draws horizontal lines at values, with names and colours, labelled at the right edge."""
-    drawn = [line.get_ydata() for line in axes.lines]
-    values = np.array([level[0] for level in levels], dtype=float)
-    data = np.concatenate([values, *drawn])
-    # What is far later than the levels runs out of the picture: they are what there is to beat.
-    low, high = float(np.nanmin(data)), min(float(np.nanmax(data)), 1.5 * float(values.max()))
-    room = 0.06 * max(high - low, 0.02 * high, 0.1)
-    axes.set_ylim(low - room, high + room)
-    places = (values - low + room) / (high - low + 2 * room)
-    order = np.argsort(places, kind="stable")
-    for lower, upper in pairwise(order):  # apart, and not above the panel
-        places[upper] = max(places[upper], places[lower] + APART)
-    top = 1.0
-    for index in order[::-1]:
-        places[index] = top = min(places[index], top)
-        top -= APART
-    for (value, name, colour, dashes), place in zip(levels, places, strict=True):
-        axes.axhline(value, color=colour, linestyle=dashes, linewidth=1.8)
-        axes.annotate(
-            f"{name} {value:.2f}", (1.0, value), (1.045, place),
-            xycoords=("axes fraction", "data"), textcoords="axes fraction",
-            va="center", size=9.5, color=BLACK, annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 1.2, "shrinkA": 1,
-                        "shrinkB": 0, "relpos": (0.0, 0.5)},
-        )  # fmt: skip
+    """Draws horizontal lines at values, with names and colours, which the legend shows."""
+    if levels:
+        values = np.array([level[0] for level in levels], dtype=float)
+        data = np.concatenate([values, *(line.get_ydata() for line in axes.lines)])
+        # What is far later than the levels runs out of the picture: they are what there is to beat.
+        low, high = np.nanmin(data), min(np.nanmax(data), 1.5 * values.max())
+        room = 0.06 * max(high - low, 0.02 * high, 0.1)
+        axes.set_ylim(low - room, high + room)
+    for value, name, colour, dashes in levels:
+        label = f"{name} {value:.2f}"
+        axes.axhline(value, color=colour, linestyle=dashes, linewidth=1.8, label=label)
 
 
 def plain(axes: Any) -> None:
