@@ -34,10 +34,6 @@ from train.support.run_folder import RunError, RunFolder, check_writable, defaul
 from train.support.starting_policy import check_size, start_from
 
 
-class Stopped(Exception):
-    """Says that Ctrl-C ended a training."""
-
-
 @dataclass(frozen=True)
 class Args:
     """Flies a mission without training it first: a scene at once, or a finished run again."""
@@ -139,14 +135,8 @@ def fly_mission(args: Args) -> int:
         notes.append(f"Planned in {seconds:.1f} s.")
     folder.create(config, scene, overwrite=args.overwrite)
     if policy is not None:
-        try:
-            train = partial(_train, args, course, order, folder, seed, shield)
-            repaired = fly_and_repair(
-                course, order, policy, train if args.finetune else None, shield
-            )
-        except Stopped:
-            say("stopped; start again with --overwrite")
-            return INTERRUPTED
+        train = partial(_train, args, course, order, folder, seed, shield)
+        repaired = fly_and_repair(course, order, policy, train if args.finetune else None, shield)
         flight, training_results, notes = repaired.flight, repaired.trained, repaired.notes
         args = replace(args, planner=repaired.planner)
     elif planner is not None:
@@ -172,7 +162,7 @@ def _train(
     """Goes on learning from `--policy` in one segment; returns the policy and segment.json.
 
     Raises:
-        Stopped: Ctrl-C ended the training.
+        KeyboardInterrupt: Ctrl-C ended the training.
     """
     assert args.policy is not None
     own = folder.segment(index)
@@ -190,7 +180,7 @@ def _train(
             video=False, overwrite=True, learn=learn,
         )  # fmt: skip
         if segment.train_segment(training) == INTERRUPTED:
-            raise Stopped
+            raise KeyboardInterrupt
     result = own.read_json("segment.json")
     assert result is not None
     return TrainedPolicy.load(own.path / "policy.pt"), result

@@ -13,7 +13,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
@@ -174,7 +174,8 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
     def job(index: int) -> Job | None:
         """Returns the next training of a segment, or None if it needs no more."""
         segment = folder.segment(index)
-        if (result := segment.read_json("segment.json")) is not None and _perfect(result):
+        result = segment.read_json("segment.json")
+        if result is not None and result["success"] and result["success_rate"] == 1.0:
             return None
         tried = _attempts(folder, index)
         if result is not None or len(tried) > args.retries:
@@ -218,10 +219,6 @@ def _from_policy(policy: Path, attempt: int) -> list[str]:
     if policy == NO_POLICY or attempt > 0:
         return []
     return ["--policy", str(policy if policy == SHIPPED else policy.resolve())]
-
-
-def _perfect(result: dict[str, Any]) -> bool:
-    return bool(result["success"] and result["success_rate"] == 1.0)
 
 
 def _attempts(folder: RunFolder, index: int) -> list[Path]:

@@ -134,7 +134,11 @@ def reproduce(args: Args) -> int:
             "training": list(training),
             "machines": (folder.read_json("machines.json") or {"machines": []})["machines"],
         }
-        found = write_results(folder, plan, sizes, errors, about)
+        say("counting and drawing")
+        found = document(folder.path, plan, sizes, errors, about)
+        found["figures"] = draw(folder.path, plan, found)
+        folder.write_json("results.json", found)
+        folder.write_text("reproduction.md", page(found))
     finally:
         folder.unlock()
     for name, message in errors.items():
@@ -227,18 +231,6 @@ def without_folder(out: Path | None) -> list[str]:
     """Return this program's arguments but for --out, whose place means nothing elsewhere."""
     return [word for word in sys.argv[1:]
             if Path(word) != out and word != "--out" and not word.startswith("--out=")]  # fmt: skip
-
-
-def write_results(
-    folder: RunFolder, plan: Plan, sizes: Sizes, errors: Mapping[str, str], about: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Write results.json, whose content is returned, the figures, and the page."""
-    say("counting and drawing")
-    found = document(folder.path, plan, sizes, errors, about)
-    found["figures"] = draw(folder.path, plan, found)
-    folder.write_json("results.json", found)
-    folder.write_text("reproduction.md", page(found))
-    return found
 
 
 if __name__ == "__main__":
