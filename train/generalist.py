@@ -31,7 +31,7 @@ from mjcollect.learning.random_streams import stream
 from mjcollect.learning.trainer import Trainer, make_simulations
 from train.jobs.segment_pool import build_all, draw_segment
 from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
-from train.jobs.workers import connect_ray, need_ray
+from train.jobs.workers import connect_ray
 from train.support.arguments import check_device, check_least
 from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
 from train.support.run_folder import RunError, RunFolder, default_folder, finite, versions
@@ -230,10 +230,8 @@ def _check(args: Args) -> None:
         raise RunError(f"--disturbed: {args.disturbed}: must lie between 0 and 1")
     if not 0 <= args.shards <= args.learn.envs:
         raise RunError(f"--shards: {args.shards}: must lie between 0 and --envs {args.learn.envs}")
-    if args.ray is not None:
-        need_ray()
-        if args.shards < 1:
-            raise RunError("--ray: needs --shards N, the number of actors that simulate")
+    if args.ray is not None and args.shards < 1:
+        raise RunError("--ray: needs --shards N, the number of actors that simulate")
     if args.learn.observation == "paper":
         raise RunError(
             "--observation: paper: has as many numbers as a scene has boxes and items, and these "

@@ -28,7 +28,6 @@ from train.jobs.workers import (
     RayWorkers,
     attempt_seed,
     connect_ray,
-    need_ray,
     run_jobs,
     settings_arguments,
 )
@@ -111,13 +110,13 @@ def train_mission(args: Args) -> int:
     say(f"{scene.name}: order {list(order)} ({method}), {len(order) + 1} segments")
     if args.ray is None:
         warm_up()
+    else:
+        connect_ray(args.ray)
     say("computing the guidance of every segment")
     guidance = folder.path / "guidance"
     course = Course.mission(scene, order, guidance)
     if policy is not None:
         check_size(policy, course)
-    if args.ray is not None:
-        connect_ray(args.ray)
     folder.create(config, scene, overwrite=args.overwrite)
     try:
         course.save_guidance(guidance)  # The segments' processes and --resume read it.
@@ -142,13 +141,11 @@ def train_mission(args: Args) -> int:
 def _check(args: Args) -> None:
     check_least(args, seed=0, workers=1, retries=0, checkpoint_every=1)
     check_device(args.device)
-    if args.ray is not None:
-        need_ray()
-        if args.policy not in (NO_POLICY, SHIPPED):
-            raise RunError(
-                f"--policy: {args.policy}: the nodes of --ray have the policy `shipped` only; "
-                "leave one of the two out"
-            )
+    if args.ray is not None and args.policy not in (NO_POLICY, SHIPPED):
+        raise RunError(
+            f"--policy: {args.policy}: the nodes of --ray have the policy `shipped` only; "
+            "leave one of the two out"
+        )
 
 
 def _begin_from(args: Args) -> tuple[Args, TrainedPolicy | None]:

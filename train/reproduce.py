@@ -23,7 +23,7 @@ from typing import Annotated, Any
 import tyro
 
 from mjcollect.scene.order import MAX_EXACT, TourError, plan_order
-from train.jobs.workers import connect_ray, need_ray
+from train.jobs.workers import connect_ray
 from train.reproduction.figures import draw
 from train.reproduction.page import page
 from train.reproduction.plan import PARTS, PLANNERS, Cell, Part, Plan, Planner, Sizes, make_plan
@@ -167,8 +167,6 @@ def sizes_of(args: Args) -> Sizes:
     for field in ("parts", "planners"):
         if not getattr(args, field):
             raise RunError(f"--{field}: names none; leave it out to fly all")
-    if args.ray is not None:
-        need_ray()
     return replace(QUICK if args.quick else Sizes(), **given)
 
 

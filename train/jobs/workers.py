@@ -145,28 +145,18 @@ class RayWorkers:
         self._ray.shutdown()
 
 
-def need_ray() -> None:
-    """Checks that Ray is installed.
-
-    Raises:
-        RunError: It is not.
-    """
-    try:
-        import ray  # noqa: F401
-    except ImportError:
-        raise RunError(
-            "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
-        ) from None
-
-
 def connect_ray(address: str, cpus: int = 0) -> None:
     """Connects to a cluster: an address, `auto`, or `local` for one on this machine.
 
     Raises:
-        RunError: No cluster answers there, or it has fewer than `cpus` cores.
+        RunError: Ray is not installed, no cluster answers there, or it has fewer than `cpus` cores.
     """
-    import ray
-
+    try:
+        import ray
+    except ImportError:
+        raise RunError(
+            "--ray: Ray is not installed; pip install 'mjcollect[ray]', or use --workers"
+        ) from None
     try:
         ray.init(
             address=None if address == "local" else address,
