@@ -32,10 +32,11 @@ from mjcollect.geometry.vectors import norm
 CHANCE = 1e-3  # The body strays farther than the margin with this probability, at any one time.
 LAG = 0.4  # s; a gust is answered so late that it moves the body by spread * LAG * time.
 BRAKES = 6  # Braking is seen as so many straight pieces,
-RESTS = (0.5, 1.0)  # and the rest after it until so many seconds later.
+RESTS = (1.0, 2.0, 3.0)  # and the rest after it until so many seconds later.
 SLOW = 3.0  # m/s; a slower body whose command is changed asks for less margin,
 GIVE = 0.1  # by this share a slot, and for more again where its command is not changed.
-LEAST_MARGIN = 1e-3  # metres; where all is known, the rule is that of the calm shield
+LEAST = 0.0  # No less than this share is asked for.
+SAG = 0.03  # metres; the flight is a little off the straight pieces that it is seen as
 
 
 class Margins(NamedTuple):
@@ -114,9 +115,15 @@ def moved(ahead: Array, steps: Array, t: float, point: Array, out: Array) -> Non
 
 
 @compiled
+def share(gap: float, margin: float) -> float:
+    """Returns the share of a margin that a gap (m) keeps; -1 is where the body touches."""
+    return (gap - SAG) / (margin if gap >= SAG else SAG)
+
+
+@compiled
 def room_row(
     world: World, w: int, margins: Margins, i: int, path: Array, times: Array, count: int,
-    least: float,
+    asked: float, least: float,
 ) -> float:  # fmt: skip
     """Returns the room of a path of `count` points: at most 1, and any number below `least`."""
     boxes, radius, room = world.boxes[w], world.radius[w, 0], 1.0
@@ -126,12 +133,12 @@ def room_row(
     for p in range(1, count):
         for k in range(3):
             low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
-    most = max(blur + spread * LAG * times[count - 1], LEAST_MARGIN)
+    most = max(blur + spread * LAG * times[count - 1], SAG)
     for p in range(1, count):
-        margin = max(blur + spread * LAG * times[p], LEAST_MARGIN)
+        margin = max(blur + spread * LAG * times[p], SAG)
         for k in range(3):
             inside = min(path[p, k] - world.bounds[w, 0, k], world.bounds[w, 1, k] - path[p, k])
-            room = min(room, (inside + MARGIN) / margin)
+            room = min(room, share(inside + MARGIN, margin))
         if room < least:
             return room
     for b in range(len(boxes)):
@@ -140,27 +147,27 @@ def room_row(
             near = near and low[k] - reach <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + reach
         if near:
             for p in range(1, count):
-                margin = max(blur + spread * LAG * times[p], LEAST_MARGIN)
-                if p > 1:
-                    gap = segment_gap(path[p - 1], path[p], boxes[b])
-                else:  # Where the body is now cannot be helped.
-                    gap = box_offset(path[p], boxes[b], offset)
-                room = min(room, (gap - radius) / margin)
+                margin = max(blur + spread * LAG * times[p], SAG)
+                gap = segment_gap(path[p - 1], path[p], boxes[b])
+                if p == 1 and gap >= box_offset(path[0], boxes[b], offset) - 1e-9:
+                    gap = box_offset(path[1], boxes[b], offset)  # What is now cannot be helped.
+                room = min(room, share(gap - radius, margin))
             if room < least:
                 return room
     for b in range(margins.boxes.shape[1]):
         box = margins.boxes[i, b]
         if box[0, 0] > 1e8:
             continue
+        begin[:] = path[0]
         for p in range(1, count):
-            margin = max(blur + spread * LAG * times[p], LEAST_MARGIN)
+            margin = max(blur + spread * LAG * times[p], SAG)
             moved(margins.ahead[i, b], margins.steps, times[p], path[p], end)
-            if p > 1:
-                moved(margins.ahead[i, b], margins.steps, times[p - 1], path[p - 1], begin)
-                gap = segment_gap(begin, end, box)
-            else:
+            gap = segment_gap(begin, end, box)
+            if p == 1 and gap >= box_offset(path[0], box, offset) - 1e-9:
                 gap = box_offset(end, box, offset)
-            room = min(room, (gap - radius) / margin)
+            # Before a box that comes along the margin never gives way.
+            room = min(room, share(gap - radius, margin) - 1.0 + asked)
+            begin[:] = end
         if room < least:
             return room
     return room
@@ -175,7 +182,7 @@ def best_backup(
     best, slots = -np.inf, 0
     for more in HELD:
         count = manoeuvre_row(world, w, margins.braking[i, 0], q, v, a, more, path, times)
-        room = room_row(world, w, margins, i, path, times, count, max(least, best))
+        room = room_row(world, w, margins, i, path, times, count, enough, max(least, best))
         if room > best:
             best, slots = room, more
         if best >= enough:
@@ -244,7 +251,7 @@ def disturbed_rows(
         )  # fmt: skip
         stop[i] = before and not acted[i]
         creeping = acted[i] and norm(v[i]) < SLOW
-        asked[i] = max(asked[i] - GIVE, 0.0) if creeping else min(asked[i] + GIVE, 1.0)
+        asked[i] = max(asked[i] - GIVE, LEAST) if creeping else min(asked[i] + GIVE, 1.0)
 
 
 def disturbed_shield(
