@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import torch
 import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
@@ -27,6 +28,7 @@ from mjcollect.envs.observation import DISTURBED
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
+from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest, weights_file
 from mjcollect.learning.random_streams import stream
 from mjcollect.learning.trainer import Trainer, make_simulations
 from train.jobs.segment_pool import build_all, draw_segment
@@ -45,7 +47,11 @@ LEARN = LearnConfig(
     buffer=1_000_000, actor_delay=2_000, noise_min=0.02, noise_max=0.3, demonstrations=50_000,
     guided_until=0.0, eval_every=5_000, eval_episodes=4,
 )  # fmt: skip
-DISTURBANCE = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0)
+DISTURBANCE = Disturbance(
+    wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=20.0, boxes=2, turned=45.0
+)
+HARDER = 4.0  # A segment that always fails is drawn this many times more often than one that never.
+FADED = 0.5  # What was seen of a segment weighs this share when it has been flown again.
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,9 @@ class Args:
     """Sets the number of processes that simulate, in step with the learner; 0 for the learner's."""
     ray: str | None = None
     """Runs the shards on a Ray cluster at this address instead: host:port, auto, or local."""
+    policy: Path = NO_POLICY
+    """Starts from this policy: shipped, none, or a file. Its observation is that of --observation,
+    or the first part of it, path of robust."""
     courses: int = 64
     """Sets the number of segments flown side by side, each in several simulations."""
     rotate: int = 2_000
@@ -110,36 +119,57 @@ class Generalist:
             rng = np.random.default_rng(stream(seed, "evaluate disturbances"))
             disturbances = Disturbances(args.disturbance, len(calm), rng, vary=True, calm=calm)
         evaluator = Evaluator(courses, config, seed, disturbances, FAILURE_SECONDS)
-        self.rotation = 0
-        self.trainer = Trainer(self._simulations(), evaluator, config, seed, args.device)
+        self.rotation, self.failed = 0, np.zeros(len(self._numbers))
+        simulations, weights = self._simulations(), None
+        if args.policy != NO_POLICY:
+            weights = widened(TrainedPolicy.load(weights_file(args.policy)), simulations)
+        self.trainer = Trainer(simulations, evaluator, config, seed, args.device, weights)
 
     def _simulations(self) -> Fleet:
-        """Returns simulations on this rotation's segments."""
+        """Returns simulations on this rotation's segments, more of those that fail."""
+        chance = 1.0 + (HARDER - 1.0) * self.failed
+        parts = range(max(self.args.shards, 1))
+        self._drawn = [
+            drawn(self.args, self._numbers, chance / chance.sum(), self.rotation, part)
+            for part in parts
+        ]
         if self._crew is None:
-            return simulations(self.args, self._numbers, self._pool, self.rotation)
-        parts = range(self.args.shards)
+            return simulations(self.args, self._drawn[0], self._pool, self.rotation)
         makes = [
-            partial(simulations, self.args, self._numbers, self._pool, self.rotation, part)
+            partial(simulations, self.args, self._drawn[part], self._pool, self.rotation, part)
             for part in parts
         ]
         return ShardedSimulations(self._crew, makes, [_envs(self.args, part) for part in parts])
 
     def rotate(self) -> None:
         """Changes the segments if `--rotate` updates have passed."""
-        self._turn_to(self.trainer.learner.updates // self.args.rotate)
-
-    def _turn_to(self, rotation: int) -> None:
+        rotation = self.trainer.learner.updates // self.args.rotate
         if rotation != self.rotation:
+            self._learn_what_fails()
             self.rotation = rotation
             self.trainer.move(self._simulations())
 
+    def _learn_what_fails(self) -> None:
+        """Updates the share of failures of every segment flown in this rotation."""
+        numbers = np.concatenate(
+            [np.resize(own, _envs(self.args, part)) for part, own in enumerate(self._drawn)]
+        )
+        for index, number in enumerate(self._numbers):
+            mine = numbers == number
+            endings = int(self.trainer.endings[mine].sum())
+            if endings > 0:
+                share = float(self.trainer.failures[mine].sum()) / endings
+                self.failed[index] = FADED * self.failed[index] + (1.0 - FADED) * share
+
     def state_dict(self) -> dict[str, Any]:
         """Returns the whole state, without the buffer's content and the settings."""
-        return {"rotation": self.rotation, "trainer": self.trainer.state_dict()}
+        own = {"rotation": self.rotation, "failed": self.failed.tolist()}
+        return {**own, "trainer": self.trainer.state_dict()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Goes back to a state that `state_dict` returned."""
-        self._turn_to(state["rotation"])
+        self.rotation, self.failed = state["rotation"], np.array(state["failed"])
+        self.trainer.move(self._simulations())
         self.trainer.load_state_dict(state["trainer"])
 
     def close(self) -> None:
@@ -154,20 +184,49 @@ def _envs(args: Args, part: int) -> int:
     return len(range(part, args.learn.envs, max(args.shards, 1)))
 
 
+def drawn(
+    args: Args, numbers: Sequence[int], chance: np.ndarray, rotation: int, part: int
+) -> np.ndarray:
+    """Returns the numbers of the segments that are flown in a rotation, or in one shard of it.
+
+    Args:
+        numbers: numbers of the pool's segments. chance: of each to be drawn before the others.
+        rotation: number of the rotation. part: number of the shard.
+    """
+    rng = np.random.default_rng(stream(args.seed, f"draw {rotation} shard {part}"))
+    count = min(-(-args.courses // max(args.shards, 1)), len(numbers))
+    return rng.choice(numbers, count, replace=False, p=chance)
+
+
+def widened(policy: TrainedPolicy, simulations: Fleet) -> dict[str, torch.Tensor]:
+    """Returns the weights of a policy whose observation is the first part of these simulations'.
+
+    What it does not know has no influence at first.
+
+    Raises:
+        RunError: the observation has fewer numbers than the policy takes.
+    """
+    weights, size = policy.actor.state_dict(), simulations.observe().shape[1]
+    if policy.inputs > size:
+        raise RunError(f"--policy: takes {policy.inputs} numbers; --observation has {size}")
+    name = next(iter(weights))  # the first layer's weights
+    unknown = torch.zeros(len(weights[name]), size - policy.inputs)
+    return {**weights, name: torch.cat([weights[name], unknown], dim=1)}
+
+
 def simulations(
     args: Args, numbers: Sequence[int], pool: Path, rotation: int, part: int = 0
 ) -> Simulations:
-    """Returns the simulations of a rotation, or of one shard, on segments that are drawn anew.
+    """Returns the simulations of a rotation, or of one shard.
 
     Args:
-        numbers: numbers of the pool's segments. pool: folder of their guidance; what is missing is
-            built. rotation: number of the rotation. part: number of the shard.
+        numbers: numbers of the pool's segments to fly. pool: folder of their guidance; what is
+            missing is built. rotation: number of the rotation. part: number of the shard.
     """
-    shards, envs = max(args.shards, 1), _envs(args, part)
+    envs = _envs(args, part)
     name = f"rotation {rotation}" + (f" shard {part}" if args.shards else "")
     rng = np.random.default_rng(stream(args.seed, name))
-    drawn = rng.choice(numbers, min(-(-args.courses // shards), len(numbers)), replace=False)
-    segments = [Course.segment(*draw_segment(args.seed, int(n)), pool) for n in drawn]
+    segments = [Course.segment(*draw_segment(args.seed, int(n)), pool) for n in numbers]
     disturbances = None
     if args.disturbed > 0.0:
         calm = rng.permutation(envs) >= round(args.disturbed * envs)
@@ -192,6 +251,7 @@ def train_generalist(args: Args) -> int:
     config = {"program": "train.generalist", **dataclasses.asdict(args)}
     for field in ("out", "resume", "overwrite", "workers", "ray", "checkpoint_every"):
         del config[field]
+    config["policy"] = None if args.policy == NO_POLICY else policy_digest(args.policy)
     folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("generalist.json") is not None:

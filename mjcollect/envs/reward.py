@@ -2,7 +2,7 @@
 
 `lost`, from which policies learn by default, is minus the time lost against the least time to go.
 `time` is minus the time flown, shaped by a discount-consistent potential of the least time to go.
-`careful` is the same with a costlier crash, for disturbed flights. `paper` is r1 to r6 of the
+`careful` is `lost` with a costlier crash, for disturbed flights. `paper` is r1 to r6 of the
 paper's section V-A to the letter.
 """
 
@@ -20,7 +20,7 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.guidance.approach import Approach
 
 CRASH = -2.0  # A crash earns this reward in `time` and `lost`, with no potential term.
-CAREFUL_CRASH = -10.0  # In wind, a policy that pays 2 risks crashes for tenths of a second.
+CAREFUL_CRASH = -10.0  # Who pays 2 risks a crash rather than wait for 3 s behind a moving box.
 R2, R4, R5, R6 = 100.0, 100.0, -100.0, -200.0  # The paper's section V-A sets these rewards.
 
 
@@ -36,19 +36,25 @@ def time_reward(
     after: Approach,
     slot: Slot,
     gamma: float,
-    crash: float = CRASH,
 ) -> Array:
-    """Returns -slot + gamma Phi' - Phi, or `crash` for a crash, (N,).
+    """Returns -slot + gamma Phi' - Phi, or CRASH for a crash, (N,).
 
     On arrival Phi' is minus the time that the place of the stop costs on the next segment.
     """
     stopped = -after.next_excess / world.v_max[..., 0]
     ahead = np.where(slot.arrived, stopped, potential(world, after, gamma))
     shaped = -world.slot + gamma * ahead - potential(world, before, gamma)
-    return np.where(slot.crashed, crash, shaped)
+    return np.where(slot.crashed, CRASH, shaped)
 
 
-def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gamma: float) -> Array:
+def lost_reward(
+    world: World,
+    before: Approach,
+    after: Approach,
+    slot: Slot,
+    gamma: float,
+    crash: float = CRASH,
+) -> Array:
     """Returns minus the time lost in the slot (N,): the slot less the fall of the time to go, in s.
 
     It is `time_reward` without the discount in its potential: a second counts the same wherever it
@@ -57,7 +63,7 @@ def lost_reward(world: World, before: Approach, after: Approach, slot: Slot, gam
     stopped = after.next_excess / world.v_max[..., 0]
     left = np.where(slot.arrived, stopped, after.time_to_go(world))
     lost = world.slot + left - before.time_to_go(world)
-    return np.where(slot.crashed, CRASH, -lost)
+    return np.where(slot.crashed, crash, -lost)
 
 
 def paper_reward(
@@ -85,6 +91,6 @@ class Preset:
 PRESETS = {
     "time": Preset(time_reward, True),
     "lost": Preset(lost_reward, True),
-    "careful": Preset(partial(time_reward, crash=CAREFUL_CRASH), True),
+    "careful": Preset(partial(lost_reward, crash=CAREFUL_CRASH), True),
     "paper": Preset(paper_reward, False),
 }

@@ -21,6 +21,7 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools
 
 REST_SPEED = 2.0  # m/s; a disturbed body that is slower within the tolerance has come to rest
+SPARED = 0.3  # chance with which varied disturbances are without a kind
 MARGIN = 5.0  # metres beyond the bounds that are still inside, since a corner may hold the depot
 
 
@@ -80,8 +81,9 @@ class Disturbances:
         """Prepares for `count` simulations.
 
         Args:
-            level: how strong disturbances are. vary: `level` is the greatest; for every kind, each
-                episode draws a share of it, uniform in [0, 1]. calm: (N,) where nothing disturbs.
+            level: how strong disturbances are. vary: `level` is the greatest; of every kind, each
+                episode draws a share of it, uniform in [0, 1], or with the chance SPARED none.
+            calm: (N,) where nothing disturbs.
         """
         self.level, self.count, self.rng, self.vary = level, count, rng, vary
         self.calm = np.zeros(count, dtype=bool) if calm is None else calm
@@ -94,7 +96,9 @@ class Disturbances:
     def begin(self, which: NDArray[np.intp], start: Array, goal: Array) -> None:
         """Draws anew for episodes from `start` to `goal` (n, 3) in the simulations `which` (n,)."""
         level, n = self.level, len(which)
-        share = (self.rng.random((6, n)) if self.vary else np.ones((6, n))) * ~self.calm[which]
+        share = np.ones((6, n)) * ~self.calm[which]
+        if self.vary:
+            share *= self.rng.random((6, n)) * (self.rng.random((6, n)) >= SPARED)
         angle, sign = 2 * np.pi * self.rng.random(n), self.rng.choice([-1.0, 1.0], n)
         wind = level.wind * share[0]
         self._wind[which] = np.stack([wind * np.cos(angle), wind * np.sin(angle), 0 * wind], axis=1)

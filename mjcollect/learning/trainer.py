@@ -33,6 +33,7 @@ class Trainer:
         last: last evaluation of the averaged actor, or of the actor where there is no average.
         rows: one dict per evaluation, the columns of metrics.csv.
         finished: whether nothing is left to do. seconds: time spent (s), kept by the caller.
+        endings, failures: (N,) episodes that ended in each simulation, and those without success.
     """
 
     def __init__(
@@ -86,6 +87,7 @@ class Trainer:
         self._returns = torch.zeros(config.envs, 1)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
         self._losses: list[torch.Tensor] = []
+        self.endings, self.failures = (np.zeros(config.envs, dtype=np.int64) for _ in range(2))
         self._shielded = self._flown = 0  # These count slots since the last evaluation.
         self.last: Evaluation | None = None
         self._now = self.env.reset()
@@ -95,6 +97,7 @@ class Trainer:
         self.env.close()
         self.env = BatchedFlightEnv(simulations, device=self.device)
         self._returns.zero_()
+        self.endings[:] = self.failures[:] = 0
         self._now = self.env.reset()
 
     def run(self) -> Iterator[int]:
@@ -157,6 +160,8 @@ class Trainer:
             self.episodes += 1
             success, crashed = after["success"][index].item(), after["crashed"][index].item()
             self._recent.append((self._returns[index].item(), float(success), float(crashed)))
+            self.endings[index] += 1
+            self.failures[index] += not success
         self._returns[done] = 0.0
 
     @property
@@ -234,6 +239,7 @@ class Trainer:
             "shielded": (self._shielded, self._flown),
             "best_policy": self.best_policy,
             "best_update": self.best_update,
+            "endings": (self.endings.copy(), self.failures.copy()),
             "finished": self.finished,
             "seconds": self.seconds,
         }
@@ -254,6 +260,7 @@ class Trainer:
             None if state[name] is None else Evaluation(**state[name]) for name in ("best", "last")
         )
         self._shielded, self._flown = state["shielded"]
+        self.endings, self.failures = (counts.copy() for counts in state["endings"])
         self.best_policy, self.best_update = state["best_policy"], state["best_update"]
         self.finished, self.seconds = state["finished"], state["seconds"]
 
