@@ -108,7 +108,8 @@ class Episodes:
         v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
         known: what is known of disturbances. sums: what it is made of, if it is of the flight.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
-        held, left, asked: (N, 3), (N,), (N,) the shield's state. approach: how each stands towards its target.
+        held, left, asked: (N, 3), (N,), (N,) the shield's state. room: (N,) share of its margin
+            that it kept. approach: how each stands towards its target.
     """
 
     def __init__(

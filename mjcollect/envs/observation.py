@@ -2,8 +2,8 @@
 
 `guided`, the environments' default, works for any number of boxes and items. `path`, from which
 policies learn by default, is the same in the frame of the path, and so are the actions. `robust`
-adds to `path` what is known of disturbances, and moving boxes. `paper` is the state S = {q, v, l, m, p} of the paper's
-section IV-B. All return named parts, each (N, d), in order.
+adds to `path` what is known of disturbances, and moving boxes. `paper` is the state
+S = {q, v, l, m, p} of the paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ MOST = 0.5  # No greater gain is believed, up or down.
 HELD = 0.3  # This share of a push is held back from a_max to counter it.
 LEAST = 0.3  # This share of a_max is counted on in any case.
 GUST_SECONDS = 1.0  # What the model left over in a slot is believed to die away in this time.
+BRAKED = 1.5  # Braking is counted on less by so many times the spread.
 SPREAD_KEPT = 0.9  # A slot's error of foresight weighs this share of that of the slot after it.
 TRUST = 0.04  # A measured position corrects the filter by this share of its error, at least.
 
@@ -84,8 +85,8 @@ class Estimate(NamedTuple):
         along = np.sum(self.push * ahead, axis=1, keepdims=True)
         aside = np.sum(self.push**2, axis=1, keepdims=True) - along**2
         strength = ((1.0 + self.gain) * a_max) ** 2 - aside
-        left = along + np.sqrt(np.maximum(strength, 0.0)) - self.spread
-        return np.asarray(np.maximum(left, LEAST * a_max))
+        left = np.minimum(along + np.sqrt(np.maximum(strength, 0.0)), self.usable(a_max))
+        return np.asarray(np.maximum(left - BRAKED * self.spread, LEAST * a_max))
 
     def counter(self, a: Array, a_max: Array) -> Array:
         """Returns commands (N, 3) that fly as accelerations a (N, 3), as far as a_max allows."""

@@ -29,8 +29,10 @@ from mjcollect.geometry.boxes import box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.vectors import norm
 
-CHANCE = 1e-3  # The body strays farther than the margin with this probability, at any one time.
-LAG = 0.4  # s; a gust is answered so late that it moves the body by spread * LAG * time.
+CHANCE = 0.05  # A body that flies a backup to its end strays beyond the margin this often.
+LAG = 0.8  # s; a gust is answered so late that it moves the body by spread * LAG * time.
+BLURRED = 2.0  # The position is off by so many times the filter's standard deviation, since errors
+# of its model last.
 BRAKES = 6  # Braking is seen as so many straight pieces,
 RESTS = (1.0, 2.0, 3.0)  # and the rest after it until so many seconds later.
 SLOW = 3.0  # m/s; a slower body whose command is changed asks for less margin,
@@ -61,7 +63,7 @@ class Margins(NamedTuple):
         """Returns the margins at velocities v (N, 3) for estimates and moving boxes."""
         z = NormalDist().inv_cdf(1.0 - CHANCE)
         braking = known.braking(a_max, v)
-        return cls(z * known.spread, z * known.blur, braking, boxes, plain(ahead), STEPS)
+        return cls(z * known.spread, z * BLURRED * known.blur, braking, boxes, plain(ahead), STEPS)
 
 
 @compiled
