@@ -12,6 +12,8 @@ import torch
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
+from mjcollect.envs.episode import Rules
+from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.geometry.boxes import segment_box_distance
 from mjcollect.learning.norm_relu import norm_relu_backward
 from mjcollect.scene.scene import Scene
@@ -32,11 +34,16 @@ def main() -> None:
         obstacles=np.array([[[50.0, 0.0, 0.0], [60.0, 30.0, 40.0]]]),
     )
     course = Course.mission(scene, (0,))
-    simulations = Simulations([course], 2, start="spread", threads=1)
-    simulations.reset()
-    simulations.step(simulations.episodes.guidance_action())
-    simulations.observe()
-    simulations.close()
+    air = Disturbances(Disturbance(mover=1.0), 2, np.random.default_rng(0))
+    for observation, disturbances in (("path", None), ("robust", air)):
+        simulations = Simulations(
+            [course], 2, rules=Rules(observation), start="spread", threads=1,
+            disturbances=disturbances,
+        )  # fmt: skip
+        simulations.reset()
+        simulations.step(simulations.episodes.guidance_action())
+        simulations.observe()
+        simulations.close()
     course.guidance[0].query(scene.items)
     segment_box_distance(scene.depot, scene.items[0], scene.obstacles)
 
