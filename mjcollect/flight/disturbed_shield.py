@@ -129,15 +129,16 @@ def room_row(
 ) -> float:  # fmt: skip
     """Returns the room of a path of `count` points: at most 1, and any number below `least`."""
     boxes, radius, room = world.boxes[w], world.radius[w, 0], 1.0
-    spread, blur = margins.spread[i, 0], margins.blur[i, 0]
+    spread, blur = margins.spread[i, 0] * LAG, margins.blur[i, 0]
+    stopped = count - len(RESTS)  # At rest it is held where it is: the margin grows no more.
     low, high, offset = path[0].copy(), path[0].copy(), np.empty(3)
     begin, end = np.empty(3), np.empty(3)
     for p in range(1, count):
         for k in range(3):
             low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
-    most = max(blur + spread * LAG * times[count - 1], SAG)
-    for p in range(1, count):
-        margin = max(blur + spread * LAG * times[p], SAG)
+    most = max(blur + spread * times[stopped - 1], SAG)
+    for p in range(1, stopped):
+        margin = max(blur + spread * times[p], SAG)
         for k in range(3):
             inside = min(path[p, k] - world.bounds[w, 0, k], world.bounds[w, 1, k] - path[p, k])
             room = min(room, share(inside + MARGIN, margin))
@@ -148,8 +149,8 @@ def room_row(
         for k in range(3):
             near = near and low[k] - reach <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + reach
         if near:
-            for p in range(1, count):
-                margin = max(blur + spread * LAG * times[p], SAG)
+            for p in range(1, stopped):
+                margin = max(blur + spread * times[p], SAG)
                 gap = segment_gap(path[p - 1], path[p], boxes[b])
                 if p == 1 and gap >= box_offset(path[0], boxes[b], offset) - 1e-9:
                     gap = box_offset(path[1], boxes[b], offset)  # What is now cannot be helped.
@@ -162,7 +163,7 @@ def room_row(
             continue
         begin[:] = path[0]
         for p in range(1, count):
-            margin = max(blur + spread * LAG * times[p], SAG)
+            margin = max(blur + spread * times[min(p, stopped - 1)], SAG)
             moved(margins.ahead[i, b], margins.steps, times[p], path[p], end)
             gap = segment_gap(begin, end, box)
             if p == 1 and gap >= box_offset(path[0], box, offset) - 1e-9:
