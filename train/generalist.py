@@ -24,7 +24,7 @@ import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
 from mjcollect.envs.course import Course
-from mjcollect.envs.observation import DISTURBED
+from mjcollect.envs.observation import SHOW_DISTURBANCES
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
@@ -215,7 +215,7 @@ def widened(policy: TrainedPolicy, simulations: Fleet) -> dict[str, torch.Tensor
 
 
 def simulations(
-    args: Args, numbers: Sequence[int], pool: Path, rotation: int, part: int = 0
+    args: Args, numbers: np.ndarray, pool: Path, rotation: int, part: int = 0
 ) -> Simulations:
     """Returns the simulations of a rotation, or of one shard.
 
@@ -297,10 +297,10 @@ def _check(args: Args) -> None:
             "--observation: paper: has as many numbers as a scene has boxes and items, and these "
             "scenes differ; use path, guided or robust"
         )
-    if args.disturbed > 0.0 and args.learn.observation not in DISTURBED:
+    if args.disturbed > 0.0 and args.learn.observation not in SHOW_DISTURBANCES:
         raise RunError(
             f"--observation: {args.learn.observation}: does not show disturbances; use "
-            f"{' or '.join(DISTURBED)}, or --disturbed 0"
+            f"{' or '.join(SHOW_DISTURBANCES)}, or --disturbed 0"
         )
 
 

@@ -17,8 +17,8 @@ from mjcollect.envs.reward import PRESETS
 from mjcollect.envs.targets import Targets
 from mjcollect.flight import disturbance_estimate as air
 from mjcollect.flight.collection import command
-from mjcollect.flight.contact import BOUNDS_TOLERANCE, Slot, judge
-from mjcollect.flight.disturbance import MARGIN, REST_SPEED, Disturbances
+from mjcollect.flight.contact import BOUNDS_TOLERANCE, MARGIN, Slot, judge
+from mjcollect.flight.disturbance import REST_SPEED, Disturbances
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.disturbed_shield import Margins, disturbed_shield
 from mjcollect.flight.moving_boxes import SHOWN, SOON
@@ -205,8 +205,8 @@ class Episodes:
         """
         goal, tolerance = self.targets.goal[self.target], self.targets.tolerance[self.target]
         if self._framed:
-            known = np.where(np.isfinite(action), action, 0.0)
-            action = np.einsum("nk,nkj->nj", known, self.approach.frame)
+            action = np.where(np.isfinite(action), action, 0.0)
+            action = np.einsum("nk,nkj->nj", action, self.approach.frame)
         world, q, v = self._seen_world, self.q, self.seen_v
         a, self._stop = command(world, q, v, action, goal, tolerance)
         if self._estimates:
@@ -274,7 +274,7 @@ class Episodes:
         truncated = ~terminated & (self.steps >= self.targets.step_limit)
         return Outcome(
             reward, slot, terminated, truncated, success, self.shielded.copy(), self.room.copy(),
-            struck.any(axis=1),
+            np.asarray(struck.any(axis=1)),
         )  # fmt: skip
 
     def _rests(self) -> Bools:

@@ -246,4 +246,4 @@ def robust(world: World, state: State) -> Parts:
 
 OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}
 FRAMED = ("path", "robust")  # With these, actions are in the frame of the path as well.
-DISTURBED = ("robust",)  # These show disturbances.
+SHOW_DISTURBANCES = ("robust",)

@@ -12,6 +12,8 @@ from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
+# Disturbed flights may be so many metres beyond the bounds, since a corner may hold the depot.
+MARGIN = 5.0
 
 
 @dataclass(frozen=True)

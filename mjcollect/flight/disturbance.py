@@ -22,7 +22,6 @@ from mjcollect.geometry.compiled import Array, Bools
 
 REST_SPEED = 2.0  # m/s; a disturbed body that is slower within the tolerance has come to rest
 SPARED = 0.3  # chance with which varied disturbances are without a kind
-MARGIN = 5.0  # metres beyond the bounds that are still inside, since a corner may hold the depot
 
 
 @dataclass(frozen=True)

@@ -43,12 +43,9 @@ WIDTHS = {
     "measured": 2,  # and the number of measurements and the sum of their squared errors (m²).
     "last": 3,  # This is the last command that was sent, in units of a_max.
 }
-AT: Any = namedtuple("Columns", WIDTHS)(
-    *(
-        slice(int(end) - width, int(end))
-        for width, end in zip(WIDTHS.values(), np.cumsum([*WIDTHS.values()]), strict=True)
-    )
-)
+ENDS = np.cumsum([*WIDTHS.values()]).tolist()
+_COLUMNS: Any = namedtuple("Columns", WIDTHS)
+AT = _COLUMNS(*[slice(end - width, end) for width, end in zip(WIDTHS.values(), ENDS, strict=True)])
 SUMS = sum(WIDTHS.values())
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjcollect.flight.disturbance import MARGIN
+from mjcollect.flight.contact import MARGIN
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.projection import project_row

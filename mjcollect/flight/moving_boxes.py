@@ -63,7 +63,7 @@ class MovingBoxes:
         self.speed[which] = speed * (length[:, :, 0] >= LEAST_WAY)
         self.time[which] = 0.0
 
-    def centres(self, seconds: float | Array = 0.0) -> Array:
+    def centres(self, seconds: Any = 0.0) -> Array:
         """Returns the centres (N, B, ..., 3) of the boxes `seconds` (...) after the slot's start.
 
         A box starts at its phase, a share of its whole way there and back.

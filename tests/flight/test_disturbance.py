@@ -6,8 +6,9 @@ import pytest
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
-from mjcollect.flight.disturbance import GUST_SECONDS, MARGIN, REST_SPEED, Disturbance, Disturbances
-from mjcollect.flight.disturbance_estimate import DOUBT, KEPT, SUMS, counter, estimate, gather
+from mjcollect.flight.contact import MARGIN
+from mjcollect.flight.disturbance import REST_SPEED, SPARED, Disturbance, Disturbances
+from mjcollect.flight.disturbance_estimate import GUST_SECONDS
 from mjcollect.scene.scene import Scene
 
 SLOT, STEP, N = 0.2, 0.02, 10
@@ -20,9 +21,10 @@ def course():
     return Course.mission(room, (0,))
 
 
-def flights(course, level, count=4, seed=3, **kwargs):
+def flights(course, level, count=4, seed=3, estimate="none", **kwargs):
     disturbances = Disturbances(level, count, np.random.default_rng(seed), **kwargs)
-    sims = Simulations([course], count, threads=1, disturbances=disturbances)
+    rules = Rules(estimate=estimate)
+    sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
     place(sims, course, count)
     return sims
 
@@ -132,6 +134,22 @@ def test_levels_vary_up_to_the_greatest(course):
     assert along.max() < SLOT * 1.3 + 4.0 * SLOT / 20
     assert along.min() < 0.05
     assert np.ptp(along) > 0.15
+    spared = np.isclose(sims.episodes.disturbances._noise, 0.0).mean()
+    assert spared == pytest.approx(SPARED, abs=0.08)
+
+
+def test_one_to_all_of_the_boxes_move_where_levels_vary(course):
+    far = Course.mission(
+        Scene("hall", 0, [[0, 0, 0], [900] * 3], [100, 450, 450], [[800, 450, 450]], []), (0,)
+    )
+    sims = flights(far, Disturbance(mover=5.0, boxes=3, turned=60.0), 300, vary=True)
+    movers = sims.episodes.disturbances.movers
+    moving = (movers.speed > 0).sum(axis=1)
+    assert set(moving) == {0, 1, 2, 3}
+    path = movers.path[movers.speed > 0]
+    across = path[:, 1] - path[:, 0]
+    turned = np.degrees(np.arctan2(np.abs(across[:, 0]), np.abs(across[:, 1])))
+    assert 50.0 < turned.max() <= 60.0 + 1e-9
 
 
 def test_goes_on_from_a_saved_state(course):
@@ -151,7 +169,8 @@ def test_goes_on_from_a_saved_state(course):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("wind", -1.0), ("gain", 1.0), ("delay", np.nan), ("noise", np.inf)]
+    ("field", "value"),
+    [("wind", -1.0), ("gain", 1.0), ("delay", np.nan), ("noise", np.inf), ("boxes", 0)],
 )
 def test_bad_levels_are_refused(field, value):
     with pytest.raises(ValueError, match=f"{field}: {value}"):
@@ -182,68 +201,3 @@ def test_the_law_flies_a_tour_from_a_corner_of_the_bounds_in_wind(wind):
         done |= sims.step(sims.episodes.guidance_action()).success
         assert not sims.episodes.crashed[~done].any()
     assert done.all()
-
-
-def test_the_robust_observation_shows_wind_and_weak_actuators(course):
-    """Estimates against the truth; the law's action is that for the acceleration that is left."""
-
-    def flown(level, slots=6):
-        disturbances = Disturbances(level, 4, np.random.default_rng(3))
-        rules = Rules("robust")
-        sims = Simulations([course], 4, rules=rules, threads=1, disturbances=disturbances)
-        place(sims, course, 4)
-        for name in ("command", "drift", "gain", "push"):
-            np.testing.assert_array_equal(sims.episodes.observe()[name], 0.0)
-        rng = np.random.default_rng(5)
-        for _ in range(slots):
-            sims.step(0.5 * rng.standard_normal((4, 3)))
-        return sims, sims.episodes.observe(), disturbances
-
-    _, seen, truth = flown(Disturbance(wind=2.0), 3)
-    wind = truth.controls(flown(Disturbance(), 1)[0].episodes.world, np.zeros((4, 3)))[:, 0]
-    np.testing.assert_allclose(seen["push"] * course.scene.a_max, wind, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(seen["gain"], 0.0, atol=1e-9)
-    unit = seen["drift"] / np.linalg.norm(seen["drift"], axis=1, keepdims=True)
-    np.testing.assert_allclose(unit * 2.0, wind, rtol=1e-9, atol=1e-9)
-
-    sims, seen, truth = flown(Disturbance(gain=0.3), 40)
-    gain = seen["gain"][:, 0]
-    # Doubt keeps the estimate short of the truth, never beyond it.
-    assert (np.abs(gain) < 0.3).all()
-    assert (np.abs(gain) > 0.25).all()
-    along = np.sum(seen["drift"] * seen["command"], axis=1)
-    np.testing.assert_array_equal(np.sign(gain), np.sign(along))
-    assert np.abs(seen["push"]).max() < 0.02
-
-    sims, _, _ = flown(Disturbance())
-    calm = Simulations([course], 4, threads=1)
-    calm.place(np.arange(4), sims.episodes.truth, sims.episodes.v)
-    calm.episodes.target = sims.episodes.target.copy()
-    calm.episodes.load({"truth": sims.episodes.truth, "v": sims.episodes.v})
-    ours, theirs = sims.episodes.guidance_action(), calm.episodes.guidance_action()
-    np.testing.assert_allclose(ours, theirs, atol=1e-6)
-
-
-def test_the_adaptive_law_holds_against_the_push():
-    """Commands of `counter` fly as the action that was meant."""
-    rng = np.random.default_rng(0)
-    action, push = rng.standard_normal((2, 50, 3))
-    gain = rng.uniform(-0.4, 0.4, (50, 1))
-    command = counter(action, gain, push)
-    np.testing.assert_allclose(command * (1 + gain) + push, action)
-
-
-def test_estimates_are_a_weighted_regression():
-    """Against NumPy's least squares with the same weights; the doubt is a slot of its own."""
-    rng = np.random.default_rng(1)
-    command = rng.standard_normal((30, 3))
-    drift = 0.2 * command + [0.1, -0.05, 0.02] + 0.01 * rng.standard_normal((30, 3))
-    sums = np.zeros((1, SUMS))
-    for c, d in zip(command, drift, strict=True):
-        sums = gather(sums, c[None], d[None])
-    gain, push = estimate(sums)
-    weight = np.repeat(np.sqrt(KEPT ** np.arange(29, -1, -1)), 3)
-    columns = np.column_stack([command.ravel(), np.tile(np.eye(3), (30, 1))]) * weight[:, None]
-    columns = np.vstack([columns, [np.sqrt(DOUBT), 0, 0, 0]])
-    found = np.linalg.lstsq(columns, np.append(drift.ravel() * weight, 0.0), rcond=None)[0]
-    np.testing.assert_allclose([gain[0, 0], *push[0]], found, rtol=1e-9)
