@@ -1,18 +1,27 @@
 """Judges a recorded flight against the scene and the paper's rules, in continuous time.
 
+Flights in disturbed air are judged by what they can keep to: no touch of a box, also of one that
+moves, the bounds with a margin, every item collected nearly at rest. Accelerations are then what
+rotors and air gave together, and neither they nor speeds are limited.
+
 On purpose it shares no code with the flight, the geometry or the physics: a mistake there must
 not excuse itself here. It reads nothing but the rows.
 """
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label
 
+from mjcollect.air import AIR_FILE, Air
+from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
@@ -20,6 +29,8 @@ from mjcollect.trajectory import Trajectory
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6  # Round-off may cost as much as this in m, m/s, m/s^2 and s.
 REST = 1e-6  # A body slower than this (m/s) is at rest, the paper's v = 0.
+DISTURBED_REST = 2.0  # In disturbed air it is at rest below this (m/s),
+DISTURBED_MARGIN = 5.0  # and inside up to so many metres beyond the bounds.
 _BISECTIONS = 60  # After as many halvings the nearest point is exact to the last digit.
 
 
@@ -51,8 +62,9 @@ class Violation:
 
 
 def verify(
-    scene: Scene, trajectory: Trajectory, order: Sequence[int], *, segment: int | None = None
-) -> list[Violation]:
+    scene: Scene, trajectory: Trajectory, order: Sequence[int], *, segment: int | None = None,
+    disturbed: bool = False, moving: Sequence[MovingBox] | None = None,
+) -> list[Violation]:  # fmt: skip
     """Returns everything that a flight breaks, by time; nothing if it is a success.
 
     The rules are the limits (2)-(3), the bounds, no touch of the body's sphere with a box at any
@@ -65,6 +77,8 @@ def verify(
         trajectory: the flight.
         order: the K items in order of visit.
         segment: number 0..K of the one segment of the order that was flown; None for a mission.
+        disturbed: whether the air was disturbed, or boxes moved.
+        moving: boxes that moved, by default those of the scene.
 
     Raises:
         ValueError: the order is no permutation of the items, or there is no such segment.
@@ -83,7 +97,8 @@ def verify(
     first = segment or 0
     nodes = [DEPOT, *order, DEPOT]
     targets = nodes[1:] if segment is None else [nodes[first + 1]]
-    flight = _Flight(scene, trajectory, first)
+    boxes = scene.moving if moving is None else moving
+    flight = _Flight(scene, trajectory, first, disturbed, boxes)
     flight.check_start(nodes[first])
     flight.check_stops(targets)
     flight.check_end(targets[-1])
@@ -91,10 +106,37 @@ def verify(
     return sorted(flight.found, key=lambda violation: violation.t)
 
 
+def verify_run(folder: str | os.PathLike[str]) -> list[Violation]:
+    """Returns everything that the flight in a run folder breaks, as `verify` does.
+
+    What mission.json or segment.json says of a disturbance, and air.json of moving boxes, counts.
+
+    Raises:
+        OSError, SceneError, ValueError, KeyError: the folder does not hold a finished run.
+    """
+    folder = Path(folder)
+    kind = "mission" if (folder / "mission.json").is_file() else "segment"
+    result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
+    there = (folder / AIR_FILE).is_file()
+    return verify(
+        Scene.load(folder / "scene.json"),
+        Trajectory.load(folder / "trajectory.csv"),
+        result["order"],
+        segment=result["segment"] if kind == "segment" else None,
+        disturbed="disturbance" in result and there,
+        moving=Air.load(folder / AIR_FILE).moving if there else None,
+    )
+
+
 class _Flight:
     """Judges a finite trajectory; the checks add to `found`."""
 
-    def __init__(self, scene: Scene, trajectory: Trajectory, segment: int) -> None:
+    def __init__(
+        self, scene: Scene, trajectory: Trajectory, segment: int, disturbed: bool,
+        moving: Sequence[MovingBox],
+    ) -> None:  # fmt: skip
+        self.disturbed, self.moving = disturbed, moving
+        self.rest = DISTURBED_REST if disturbed else REST
         self.scene, self.flown, self.segment = scene, trajectory, segment
         self.speed = np.linalg.norm(trajectory.v, axis=1)
         self.slot_rows = round(scene.slot / scene.physics_step)
@@ -141,7 +183,7 @@ class _Flight:
         return self.segments[done - 1] + 1 if done else self.segment
 
     def at_rest_near(self, node: int) -> NDArray[np.bool_]:
-        return (self.speed <= REST) & (self.distance(node) <= self.scene.tolerance(node))
+        return (self.speed <= self.rest) & (self.distance(node) <= self.scene.tolerance(node))
 
     def distance(self, node: int) -> Array:
         return np.asarray(np.linalg.norm(self.flown.x - self.scene.point(node), axis=1))
@@ -152,7 +194,7 @@ class _Flight:
         near = np.flatnonzero(distance <= self.scene.epsilon)
         if len(near):
             row = begin + int(near[np.argmin(self.speed[begin + near])])
-            self.add("stop", row, segment, self.speed[row], REST)
+            self.add("stop", row, segment, self.speed[row], self.rest)
         else:
             nearest = int(np.argmin(distance))
             self.add("stop", begin + nearest, segment, distance[nearest], self.scene.epsilon)
@@ -165,7 +207,7 @@ class _Flight:
         row, step = len(self.flown) - 1, self.scene.physics_step
         for value, limit in (
             (self.distance(target)[-1], self.scene.tolerance(target)),
-            (self.speed[-1], REST),
+            (self.speed[-1], self.rest),
             (float(np.linalg.norm(self.flown.a[-1])), 0.0),
         ):
             if value > limit:
@@ -185,10 +227,18 @@ class _Flight:
         x_error = np.abs(np.diff(flown.x, axis=0) - flown.v[1:] * step).max(axis=1)
         error[1:] = np.maximum(error[1:], np.maximum(v_error, x_error))
         clearance = _clearance(flown.x, scene.obstacles, scene.uav_radius)
+        for box in self.moving:
+            there = box.box_at(float(flown.t[0]))
+            # Seen from the box, which like the body moves straight between rows.
+            drift = box.centres(flown.t) - there.mean(axis=0)
+            apart = _clearance(flown.x - drift, there[None], scene.uav_radius)
+            clearance = np.minimum(clearance, apart)
+        margin = DISTURBED_MARGIN if self.disturbed else 0.0
+        free = np.inf if self.disturbed else 1.0  # The air may push beyond the limits.
         for kind, sign, value, limit in (
-            ("speed", 1, self.speed, scene.v_max),
-            ("acceleration", 1, push, scene.a_max),
-            ("bounds", 1, outside, 0.0),
+            ("speed", 1, self.speed, scene.v_max * free),
+            ("acceleration", 1, push, scene.a_max * free),
+            ("bounds", 1, outside, margin),
             ("timestep", 1, error, 0.0),
             ("contact", -1, clearance, scene.uav_radius),  # must not be less
         ):

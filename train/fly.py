@@ -2,6 +2,7 @@
 
 python -m train.fly --scene FILE
 python -m train.fly --scene FILE --planner mpc
+python -m train.fly --scene FILE --wind 5 --gusts 2.5 --mover 10 --flights 100
 python -m train.fly --run DIR
 """
 
@@ -14,10 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly, fly_law
+from mjcollect.flight.disturbance import Disturbance
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.planners.mpc import Mpc
@@ -28,6 +32,14 @@ from mjcollect.scene.scene import Scene
 from train import segment
 from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
+from train.support.disturbed_mission import (
+    CALM,
+    Weather,
+    flights_result,
+    fly_all,
+    judged,
+    write_air,
+)
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
@@ -36,7 +48,11 @@ from train.support.starting_policy import check_size, start_from
 
 @dataclass(frozen=True)
 class Args:
-    """Flies a mission without training it first: a scene at once, or a finished run again."""
+    """Flies a mission without training it first: a scene at once, or a finished run again.
+
+    It is flown many times where the air is disturbed; the first flight that comes home is shown in
+    full, and the exit code is 0 if there is one. Nothing is trained then.
+    """
 
     run: Path | None = None
     """Flies the policies of the finished train.mission run in this folder."""
@@ -61,6 +77,11 @@ class Args:
     shield: bool = True
     """Bends commands of policy and guidance that leave no way to stop without touching anything.
     Runs learned without the shield, mpc and reference always fly without it."""
+    flights: int | None = None
+    """Flies the mission so often, each time in air of its own; by default 100 times in disturbed
+    air, else once."""
+    disturbance: Annotated[Disturbance, tyro.conf.arg(name="")] = CALM
+    """Disturbs the flights."""
     overwrite: bool = False
     """Starts anew in a folder that is not empty."""
     video: bool = True
@@ -82,7 +103,9 @@ def fly_mission(args: Args) -> int:
     """
     if args.run is None and args.scene is None:
         raise RunError("give --scene FILE to fly it at once, or --run DIR of a finished mission")
-    check_least(args, finetune=0, **({} if args.seed is None else {"seed": 0}))
+    given = {"seed": args.seed, "flights": args.flights}
+    least = {"seed": 0, "flights": 1}
+    check_least(args, finetune=0, **{k: least[k] for k, v in given.items() if v is not None})
     if args.policy is not None and (args.run is not None or args.planner != "policy"):
         raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
     if args.run is None and args.planner == "policy" and args.policy is None:
@@ -104,8 +127,16 @@ def fly_mission(args: Args) -> int:
         order = plan_order(scene, args.order or "lkh", seed=seed)
         method = order_label(args.order or "lkh")
         training_results = [None] * (len(order) + 1)
+    weather = Weather.of(args.disturbance, args.flights)
+    many = weather.flights > 1 or weather.disturbed or bool(scene.moving)
+    if many and args.planner == "reference":
+        raise RunError(
+            "--planner: reference: its plan is flown blindly, and made for a single calm flight; "
+            "take policy, guidance or mpc, or leave disturbances and --flights out"
+        )
     name = scene.slug if args.run is None else args.run.resolve().name
-    folder = RunFolder(args.out or default_folder("fly", name, args.planner, f"seed{seed}"))
+    names = [name, args.planner, *(weather.name() if many else []), f"seed{seed}"]
+    folder = RunFolder(args.out or default_folder("fly", *names))
     config = {
         "program": "train.fly",
         "scene": scene.name,
@@ -115,6 +146,7 @@ def fly_mission(args: Args) -> int:
         "policy": None if args.policy is None else policy_digest(args.policy),
         "seed": seed,
         "shield": shield,
+        **(weather.config() if many else {}),
     }
     folder.check(config, overwrite=args.overwrite)
     if args.guidance_cache is not None:
@@ -124,6 +156,8 @@ def fly_mission(args: Args) -> int:
         course.save_guidance(args.guidance_cache)
     planner: Planner | None = None
     notes: list[str] = []
+    if many:
+        weather.check(course)
     if policy is not None:
         check_size(policy, course)
     elif args.planner == "policy":
@@ -134,7 +168,12 @@ def fly_mission(args: Args) -> int:
         planner, seconds = _planned(course)
         notes.append(f"Planned in {seconds:.1f} s.")
     folder.create(config, scene, overwrite=args.overwrite)
-    if policy is not None:
+    flown = None
+    if many:
+        pilots = [] if args.planner != "policy" else policies if policy is None else [policy]
+        flown = judged(course, order, fly_all(course, weather, args.planner, pilots, seed, shield))
+        flight = flown.flights[flown.shown].flight
+    elif policy is not None:
         train = partial(_train, args, course, order, folder, seed, shield)
         repaired = fly_and_repair(course, order, policy, train if args.finetune else None, shield)
         flight, training_results, notes = repaired.flight, repaired.trained, repaired.notes
@@ -148,9 +187,13 @@ def fly_mission(args: Args) -> int:
         flight = fly_law(course, shield=shield)
     for note in notes:
         say(note)
-    result = mission_result(course, order, method, flight, training_results, seed)
+    air = None if flown is None else flown.flights[flown.shown].air
+    result = mission_result(course, order, method, flight, training_results, seed, air)
     result["planner"] = args.planner
-    write_mission(folder, scene, result, flight, plots=args.plots)
+    if flown is not None:
+        result |= flights_result(weather, flown)
+        write_air(folder, course, order, flown, args.plots)
+    write_mission(folder, scene, result, flight, plots=args.plots, air=air)
     folder.unlock()
     return finish(folder, [folder.path / "mission.mp4"] if args.video else [], args.plots, notes)
 
@@ -222,16 +265,17 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
 def scene_difference(one: Scene, two: Scene) -> str | None:
     """Returns the first field in which two scenes differ with both values, or None."""
     first, second = one.to_dict(), two.to_dict()
-    for field, value in first.items():
-        if value == second[field]:
+    for field in first | second:
+        value, other = first.get(field, []), second.get(field, [])
+        if value == other:
             continue
-        if isinstance(value, list) and len(value) == len(second[field]):
-            pairs = zip(value, second[field], strict=True)
+        if isinstance(value, list) and len(value) == len(other):
+            pairs = zip(value, other, strict=True)
             index, (a, b) = next((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1])
             return f"{field}[{index}] is {b}, not {a}"
         if isinstance(value, list):
-            return f"{field} has {len(second[field])} entries, not {len(value)}"
-        return f"{field} is {second[field]}, not {value}"
+            return f"{field} has {len(other)} entries, not {len(value)}"
+        return f"{field} is {other}, not {value}"
     return None
 
 

@@ -71,8 +71,9 @@ class Progress:
 
 
 def progress(
-    scene: Scene, trajectory: Trajectory, order: Sequence[int], segment: int | None = None
-) -> Progress:
+    scene: Scene, trajectory: Trajectory, order: Sequence[int], segment: int | None = None,
+    rest_speed: float = REST_SPEED,
+) -> Progress:  # fmt: skip
     """Finds the arrivals of a mission, or of one of its segments.
 
     An arrival is the first row at rest within a target's tolerance (eq. (4)-(5)).
@@ -82,6 +83,7 @@ def progress(
         trajectory: the flight.
         order: item indices in order of visit.
         segment: 0..K, counted along the tour; None for the whole mission.
+        rest_speed: a UAV at this speed (m/s) or below has stopped; it is higher in disturbed air.
 
     Raises:
         ValueError: `order` is not a permutation of the items, or there is no such segment.
@@ -94,7 +96,7 @@ def progress(
     nodes = (DEPOT, *order, DEPOT)
     if segment is not None:
         nodes = nodes[segment : segment + 2]
-    resting = np.flatnonzero(np.linalg.norm(trajectory.v, axis=1) <= REST_SPEED)
+    resting = np.flatnonzero(np.linalg.norm(trajectory.v, axis=1) <= rest_speed)
     rows: list[int] = []
     earliest = scene.substeps  # a segment takes at least one slot
     for node in nodes[1:]:

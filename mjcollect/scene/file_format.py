@@ -28,6 +28,13 @@ class _Box(BaseModel):
     max: Point
 
 
+class _MovingBox(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    size: Point
+    path: list[Point]
+    speed: FiniteFloat
+
+
 class _SceneFile(BaseModel):
     """Lists the JSON document key for key; every further rule is in `Scene._check`."""
 
@@ -45,6 +52,7 @@ class _SceneFile(BaseModel):
     return_tolerance: FiniteFloat
     uav_radius: FiniteFloat = 0.5
     physics_step: FiniteFloat = 0.02
+    moving: list[_MovingBox] = []
 
 
 def read_text(path: str | os.PathLike[str]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -21,6 +22,7 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.enclosure import Space, walled_in
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.file_format import SceneError, parse, read_text
+from mjcollect.scene.moving import MovingBox
 
 MAX_EXTENT = 1e5  # metres; in wider bounds 1e-6 m is no longer resolved along a mission
 MAX_SUBSTEPS = 1000  # A slot has at most so many physics steps.
@@ -54,6 +56,7 @@ class Scene:
         return_tolerance: distance from the depot within which the mission must end.
         uav_radius: radius of the body; no point of it may touch a box.
         physics_step: MuJoCo's time step; it divides the slot.
+        moving: boxes that move along paths; documents like those of the file become `MovingBox`.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Scene:
     return_tolerance: float = 5.0
     uav_radius: float = 0.5
     physics_step: float = 0.02
+    moving: tuple[MovingBox, ...] = ()
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -82,6 +86,7 @@ class Scene:
             object.__setattr__(self, field, array)
         for limit in POSITIVE_LIMITS:
             object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
+        object.__setattr__(self, "moving", tuple(map(_moving_box, self.moving)))
         self._check()
 
     # Derived values
@@ -127,7 +132,7 @@ class Scene:
         return cls(**parse(text))
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the JSON document of the scene, with all keys written out."""
+        """Returns the JSON document of the scene, with all keys but an empty `moving`."""
         document: dict[str, Any] = {
             "name": self.name,
             "seed": self.seed,
@@ -136,7 +141,9 @@ class Scene:
             "items": self.items.tolist(),
             "obstacles": [_box_dict(box) for box in self.obstacles],
         }
-        return document | {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
+        document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
+        moving = [box.to_dict() for box in self.moving]
+        return document | ({"moving": moving} if moving else {})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the scene file, from which `load` reads an equal scene."""
@@ -170,6 +177,7 @@ class Scene:
             )
         self._check_bounds()
         self._check_obstacles()
+        self._check_moving()
         self._check_points()
 
     def _check_bounds(self) -> None:
@@ -216,6 +224,30 @@ class Scene:
                 f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's "
                 f"radius uav_radius = {self.uav_radius} m; move the depot or the obstacle",
             )
+
+    def _check_moving(self) -> None:
+        for index, box in enumerate(self.moving):
+            field, path = f"moving[{index}]", np.array(box.path).reshape(-1, 3)
+            for value in box.size:
+                if not LIMIT_RANGE[0] <= value <= MAX_EXTENT:
+                    fix = f"must be positive numbers up to {MAX_EXTENT:g} m"
+                    raise SceneError(f"{field}.size", list(box.size), fix)
+            if not LIMIT_RANGE[0] <= box.speed <= LIMIT_RANGE[1]:
+                fix = f"must be a positive number from {LIMIT_RANGE[0]:g} to {LIMIT_RANGE[1]:g}"
+                raise SceneError(f"{field}.speed", box.speed, fix)
+            if len(path) < 2:
+                raise SceneError(f"{field}.path", path.tolist(), "needs at least two points")
+            for k, point in enumerate(path):
+                if not np.all(np.isfinite(point)) or not _inside(point, self.bounds):
+                    fix = "lies outside the bounds; move it inside"
+                    raise SceneError(f"{field}.path[{k}]", point.tolist(), fix)
+                if k > 0 and np.linalg.norm(point - path[k - 1]) < LIMIT_RANGE[0]:
+                    fix = "is the point before it; leave one of them out"
+                    raise SceneError(f"{field}.path[{k}]", point.tolist(), fix)
+            gap = point_box_distance(self.depot, box.box_at(0.0)[None])[0]
+            if gap < self.uav_radius:
+                fix = "stands on the depot at first; begin its path elsewhere"
+                raise SceneError(f"{field}.path[0]", path[0].tolist(), fix)
 
     def _check_points(self) -> None:
         if len(self.items) == 0:
@@ -266,6 +298,18 @@ def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:
     if not np.all(np.isfinite(array)):
         raise SceneError(field, array.tolist(), "must be finite numbers")
     return array
+
+
+def _moving_box(value: object) -> MovingBox:
+    """Returns a moving box, which may be given as a document."""
+    if isinstance(value, MovingBox):
+        return value
+    if isinstance(value, Mapping):
+        try:
+            return MovingBox.from_dict(value)
+        except (TypeError, ValueError, KeyError):
+            pass
+    raise SceneError("moving", value, "needs boxes with size, path and speed")
 
 
 def _limit(field: str, value: object) -> float:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjcollect.air import Air
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight
-from mjcollect.render.arrivals import progress
+from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.render.video import render_in_child
@@ -18,7 +19,7 @@ from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, save_shield, shield_intervals
-from mjcollect.verify import verify
+from mjcollect.verify import DISTURBED_REST, verify
 from train.support.command_line import say
 from train.support.markdown import markdown_table
 from train.support.run_folder import RunFolder, versions
@@ -37,13 +38,17 @@ def mission_result(
     flight: Flight,
     trained: Sequence[dict[str, Any] | None],
     seed: int,
+    air: Air | None = None,
 ) -> dict[str, Any]:
     """Returns the document of mission.json.
 
-    `trained` holds the segment.json of each segment, None where nothing was trained.
+    `trained` holds the segment.json of each segment, None where nothing was trained. `air` is what
+    disturbed the flight, if it was disturbed.
     """
     scene = course.scene
-    violations = [entry.to_dict() for entry in verify(scene, flight.trajectory, order)]
+    moving = None if air is None else air.moving
+    found = verify(scene, flight.trajectory, order, disturbed=air is not None, moving=moving)
+    violations = [entry.to_dict() for entry in found]
     success = flight.success and not violations
     bound, method = mission_bound(scene)
     segments, begun, shares = [], 0.0, flight.shield_shares
@@ -86,12 +91,14 @@ def mission_result(
 
 
 def write_mission(
-    folder: RunFolder, scene: Scene, result: dict[str, Any], flight: Flight, *, plots: bool
-) -> None:
+    folder: RunFolder, scene: Scene, result: dict[str, Any], flight: Flight, *, plots: bool,
+    air: Air | None = None,
+) -> None:  # fmt: skip
     """Writes trajectory.csv, shield.csv, the plots if they are wanted, and last mission.json."""
     write_record(folder, flight)
     if plots:
-        flown = progress(scene, flight.trajectory, result["order"])
+        rest = REST_SPEED if air is None else DISTURBED_REST
+        flown = progress(scene, flight.trajectory, result["order"], rest_speed=rest)
         folder.write("path_3d.png", lambda part: plot_path_3d(part, flown))
         folder.write("path_top.png", lambda part: plot_path_top(part, flown))
         folder.write("speed.png", lambda part: plot_speed(part, flown))
@@ -168,6 +175,8 @@ def report(
         lines += [f"- {describe(violation)}" for violation in result["violations"]]
     if (share := result.get("shield_share")) is not None:
         lines += ["", f"The shield changed the command in {share:.1%} of the slots."]
+    if "flights" in result:
+        lines += _of_all_flights(result)
     if "planner" in result:
         lines += ["", f"Planner: {result['planner']}."]
     if notes:
@@ -193,9 +202,46 @@ def report(
             "![Top view](path_top.png)",
             "![Speed and acceleration](speed.png)",
         ]
+    if (folder.path / "tracks.png").is_file():
+        lines.append("![Tracks of all flights](tracks.png)")
     if (folder.path / "learning.png").is_file():
         lines.append("![Learning curves](learning.png)")
     return "\n".join(lines) + "\n"
+
+
+def _of_all_flights(result: dict[str, Any]) -> list[str]:
+    """Returns the lines about all flights, of which the rest of the page shows one."""
+    shown = {key: value for key, value in result["disturbance"].items() if value}
+    air = ", ".join(f"{key} {value:g}" for key, value in shown.items() if key != "boxes")
+    head = (f"{result['flights']} flights", "measured [95% interval]")
+    return [
+        "",
+        f"This is flight {result['shown_flight']} of {result['flights']}, numbered from 0: the "
+        f"first that came home, or the first of all. Disturbance: {air or 'none drawn'}.",
+        "",
+        *markdown_table(head, rows_of_flights(result)),
+    ]
+
+
+def rows_of_flights(result: dict[str, Any]) -> list[list[str]]:
+    """Returns the rows of report.md's table of all flights."""
+    ended = ", ".join(f"{count} {end}" for end, count in result["ended"].items() if count)
+    return [
+        ["came home with everything", measured(result["success_rate"], ".1%")],
+        ["touched a box", measured(result["contact_rate"], ".1%")],
+        ["mean time of those at home (s)", measured(result["mean_time"], ".1f")],
+        ["ended", ended],
+    ]
+
+
+def measured(measure: dict[str, float | None], form: str) -> str:
+    """Returns a measured value with its interval, as '93.0% [86.3%, 96.6%]'; a dash for none."""
+    value, low, high = measure["value"], measure["low"], measure["high"]
+    if value is None:
+        return "-"
+    if low is None or high is None:
+        return format(value, form)
+    return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def _cells(index: int, entry: dict[str, Any]) -> list[str]:
@@ -228,6 +274,13 @@ def describe(violation: dict[str, Any]) -> str:
 def outcome(result: dict[str, Any], folder: Path) -> str:
     """Says the result in one line, for the user."""
     where = os.path.relpath(folder)
+    if "flights" in result:
+        time = measured(result["mean_time"], ".1f")
+        return (
+            f"{result['ended']['home']} of {result['flights']} flights came home: "
+            f"{measured(result['success_rate'], '.1%')}, in {time} s; contact "
+            f"{measured(result['contact_rate'], '.1%')}: {where}"
+        )
     if not result["success"]:
         return f"no success ({cause(result)}): {where}"
     ratio = "" if result["ratio"] is None else f", {result['ratio']:.3f} of the lower bound"
