@@ -10,10 +10,12 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter1d
 
+from mjcollect.air import Air
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View, chase_eyes, framing
+from mjcollect.render.moving_box import draw_moving_box
 from mjcollect.render.name_tags import node_labels
 from mjcollect.render.overlay import (
     COLLECTED,
@@ -43,13 +45,18 @@ OVERVIEW_DIRECTION = np.array([1.0, 0.82, -0.72])
 class Film:
     """Makes the frames of one flight; the same flight gives the same frames."""
 
-    def __init__(self, progress: Progress, settings: VideoSettings, shielded: Array) -> None:
+    def __init__(
+        self, progress: Progress, settings: VideoSettings, shielded: Array, air: Air | None = None
+    ) -> None:
         """Plans every frame; nothing is rendered yet.
 
         Args:
             progress: what was flown. settings: how it is shown.
             shielded: (n, 2) seconds from begin to end of the times in which the shield acted.
+            air: what disturbed the flight; None if nothing did.
         """
+        self._moving = () if air is None else air.moving
+        self._air = air if air is not None and np.any(air.push) else None
         self._scene, self._trajectory = progress.scene, progress.trajectory
         self._progress, self._settings, self._shielded = progress, settings, shielded
         self._opening, self._hold = round(OPENING * settings.fps), round(HOLD * settings.fps)
@@ -131,6 +138,9 @@ class Film:
         unit = self._settings.unit
         stage.mark(self._progress, reached)
         image = Image.fromarray(stage.still(self._wide))
+        time = float(self._trail_time[point])
+        for box in self._moving:
+            draw_moving_box(image, self._wide, box.box_at(time), 2 * unit)
         self._overview.path(image, 0, point, 4 * unit)
         self._overview.nodes(image, reached, 11 * unit)
         self._overview.uav(image, self._trail[point], 7 * unit)
@@ -146,7 +156,7 @@ class Film:
         panels = (226 if len(self._shielded) else 190) * unit
         blocked = [
             (left - 4.0, 0.0, float(width), top + inset_height + 4.0),
-            (0.0, height - panels, 400 * unit, float(height)),
+            (0.0, height - panels, (400 if self._air is None else 584) * unit, float(height)),
             (0.0, 0.0, 460 * unit, 110 * unit),
         ]
         shown = -1
@@ -156,17 +166,19 @@ class Film:
                 still, shown = stage.still(self._wide), reached
             x, view = self._x[frame], self._views[frame]
             point = int(np.searchsorted(self._trail_time, self._t[frame], side="right")) - 1
+            time = float(self._t[frame])
+            moving = [box.box_at(time) for box in self._moving]
             stage.place(x, self._a[frame], self._headings[frame], frame)
             trail = np.concatenate([self._trail[: point + 1], x[None]])
             colours = self._trail_colours[: point + 1]
-            image = Image.fromarray(stage.chase(view, trail, colours, self._goals[frame]))
+            image = Image.fromarray(stage.chase(view, trail, colours, self._goals[frame], moving))
             node_labels(image, self._progress, reached, view, x, blocked)
             draw = ImageDraw.Draw(image, "RGBA")
             self._instruments(image, draw, frame, reached)
             draw.rectangle(
                 (left - 3, top - 3, left + inset_width + 2, top + inset_height + 2), WHITE
             )
-            image.paste(self._overview.inset(still, reached, point, x), (left, top))
+            image.paste(self._overview.inset(still, reached, point, x, moving), (left, top))
             yield np.asarray(image)
 
     def _instruments(
@@ -184,6 +196,9 @@ class Film:
             float(np.linalg.norm(self._goals[frame] - self._x[frame])),
             self._items(reached),
         )
+        if self._air is not None:
+            push = self._air.pushes(self._t[frame : frame + 1])[0]
+            self._hud.push(image, push, self._views[frame])
         if self._shields[frame]:
             self._hud.shield(draw)
         arrived = int(np.argmax(self._reached == reached))  # the first frame since the arrival

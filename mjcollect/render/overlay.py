@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from mjcollect.geometry.boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View
+from mjcollect.render.moving_box import draw_moving_box
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
@@ -24,6 +26,7 @@ GREY: Colour = (190, 198, 206)
 DARK: Colour = (20, 24, 30)
 PANEL: Colour = (16, 22, 30, 205)
 UAV: Colour = (255, 96, 16)
+WIND: Colour = (240, 228, 66)
 SHIELD: Colour = (86, 180, 233)
 EMPTY_BAR: Colour = (70, 78, 88)
 # Nodes have these colours by `Progress.state`; the renderer's are the same.
@@ -112,14 +115,18 @@ class Overview:
         draw.line([(u, v), tuple(below)], (*UAV, 170), max(1, round(radius / 5)))
         draw.circle((u, v), radius, UAV, WHITE, max(1, round(radius / 4)))
 
-    def inset(self, still: Picture, reached: int, point: int, x: Array) -> Image.Image:
-        """Returns the small picture with the path up to `point` and the quadrotor at `x` (3,)."""
+    def inset(
+        self, still: Picture, reached: int, point: int, x: Array, moving: Sequence[Array] = ()
+    ) -> Image.Image:
+        """Returns the small picture: path up to `point`, quadrotor at `x` (3,), moving boxes."""
         if reached != self._reached:
             self._canvas = Image.fromarray(still)
             self._reached, self._drawn = reached, 0
         self.path(self._canvas, self._drawn, point, 2.0 * self._zoom)
         self._drawn = point
         image = self._canvas.copy()
+        for box in moving:
+            draw_moving_box(image, self._view, box, 2.0 * self._zoom)
         self.nodes(image, reached, 8.0 * self._zoom * self.inset_size[0] / 340)
         self.uav(image, x, 6.0 * self._zoom * self.inset_size[0] / 340)
         return image.crop(self._cut).resize(self.inset_size, Image.Resampling.BOX)
@@ -194,6 +201,34 @@ class Hud:
         """Draws a mark above the instruments: the shield changes the command that is flown."""
         place = 70 * self._unit, self._height - 202 * self._unit
         pill(draw, place, "shield", round(20 * self._unit), SHIELD)
+
+    def push(self, image: Image.Image, push: Array, view: View) -> None:
+        """Draws a plate with an arrow and what wind and gust (3,) accelerate by, in m/s².
+
+        Up on the plate is ahead of the camera; the angle is counted from x to y.
+        """
+        u, draw = self._unit, ImageDraw.Draw(image, "RGBA")
+        left, top = 408 * u, self._height - 176 * u
+        draw.rounded_rectangle((left, top, left + 168 * u, self._height - 20 * u), 10 * u, PANEL)
+        level = float(np.hypot(push[0], push[1]))
+        forward = view.axes[2, :2] / max(float(np.linalg.norm(view.axes[2, :2])), 1e-9)
+        along = push[:2] @ forward
+        aside = push[0] * forward[1] - push[1] * forward[0]
+        middle = np.array([left + 84 * u, top + 52 * u])
+        size = float(np.linalg.norm(push))
+        draw.circle(tuple(middle), 40 * u, None, EMPTY_BAR, max(1, round(2 * u)))
+        if level > 1e-6:
+            ahead = np.array([aside, -along]) / level
+            across, length = np.array([-ahead[1], ahead[0]]), 36 * u * min(1.0, 0.3 + level / 8.0)
+            tip, tail = middle + length * ahead, middle - length * ahead
+            neck = tip - min(20 * u, length) * ahead
+            draw.line([tuple(tail), tuple(neck)], WIND, max(2, round(6 * u)))
+            corners = [tip, neck + 10 * u * across, neck - 10 * u * across]
+            draw.polygon([tuple(corner) for corner in corners], WIND)
+        angle = round(float(np.degrees(np.arctan2(push[1], push[0])))) % 360
+        x, y = middle
+        draw.text((x, y + 60 * u), f"wind {size:.1f} m/s²", WHITE, font(17 * u), "mm")
+        draw.text((x, y + 82 * u), f"to {angle}°", GREY, font(15 * u), "mm")
 
     def card(
         self, image: Image.Image, lines: list[tuple[str, Colour]], scale: float = 1.0,

@@ -28,6 +28,7 @@ NODES_RGBA = {
     "depot": DEPOT_RGBA,
     "item": ITEM_RGBA,
 }
+MOVING_RGBA = (0.50, 0.36, 0.86, 1.0)
 UAV_SCALE = 8.0  # The quadrotor, 0.6 m wide in a scene of a kilometre, is enlarged so much.
 TRAIL_RADIUS = 0.09  # The flown path is a tube of this radius (m).
 FULL_WIDTH = 20.0  # Nearer to the camera than this (m), the path is thinner.
@@ -119,7 +120,9 @@ class Stage:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
-    def chase(self, view: View, trail: Array, colours: Array, goal: Array) -> Picture:
+    def chase(
+        self, view: View, trail: Array, colours: Array, goal: Array, moving: Sequence[Array] = ()
+    ) -> Picture:
         """Returns a picture (H, W, 3) uint8 from the chase camera.
 
         Args:
@@ -127,6 +130,7 @@ class Stage:
             trail: (N, 3) flown path up to now; its last MAX_TRAIL pieces are shown.
             colours: (N - 1, 3) RGB in 0..1 of its pieces.
             goal: (3,) where the thin straight line from the quadrotor leads.
+            moving: (2, 3) corners of each moving box.
         """
         self.model.geom_rgba[self._boxes, 3] = 1.0
         self._aim(view, None)
@@ -137,6 +141,8 @@ class Stage:
             radius = max(TRAIL_RADIUS * min(1.0, away / FULL_WIDTH), away / view.size[1])
             self._capsule(a, b, radius, (*colour, 1.0), emission=0.45)
         self._capsule(trail[-1], goal, 0.12, (1.0, 1.0, 1.0, 0.35), emission=0.5)
+        for box in moving:
+            self._box(box)
         return self._renderer.render()
 
     def _aim(self, view: View, option: mujoco.MjvOption | None) -> None:
@@ -161,6 +167,16 @@ class Stage:
         # pictures would depend on those drawn before.
         geom.objtype = mujoco.mjtObj.mjOBJ_UNKNOWN
         geom.emission = emission
+        scene.ngeom += 1
+
+    def _box(self, box: Array) -> None:
+        """Draws a moving box (2, 3), which is no part of the model."""
+        scene = self._renderer.scene
+        geom, kind = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_BOX
+        turn, colour = np.eye(3).ravel(), np.asarray(MOVING_RGBA, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, (box[1] - box[0]) / 2, box.mean(axis=0), turn, colour)
+        geom.objtype = mujoco.mjtObj.mjOBJ_UNKNOWN
+        geom.emission = 0.15
         scene.ngeom += 1
 
 

@@ -22,7 +22,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from mjcollect.render.arrivals import progress
+from mjcollect.air import AIR_FILE, Air
+from mjcollect.flight.disturbance import REST_SPEED as DISTURBED_REST
+from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
@@ -67,7 +69,9 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
         shielded = load_shield(folder / SHIELD_FILE)
         result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
         segment = result["segment"] if kind == "segment" else None
-        done = progress(scene, trajectory, list(result["order"]), segment)
+        air = Air.load(folder / AIR_FILE) if (folder / AIR_FILE).is_file() else None
+        rest = REST_SPEED if air is None else DISTURBED_REST
+        done = progress(scene, trajectory, list(result["order"]), segment, rest)
         caption = _caption(result)
     except (OSError, SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RenderError(
@@ -87,7 +91,7 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
     # In quarters, so that the speed that is written on the frames is short.
     speed = max(1.0, math.ceil(4 * trajectory.duration / LONGEST) / 4)
     settings = replace(settings or VideoSettings(), speed=speed, caption=caption)
-    film = Film(done, settings, np.reshape(shielded, (-1, 2)))
+    film = Film(done, settings, np.reshape(shielded, (-1, 2)), air)
     path, part = folder / f"{kind}.mp4", folder / f".{kind}.part.mp4"
     try:
         with (
