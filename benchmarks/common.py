@@ -35,10 +35,15 @@ class Output:
     """JSON file for the results."""
 
 
-def segment_course(seed: int, number: int, layout: str | None = None) -> Course | None:
-    """Returns the course of a generated segment; None where the guidance finds no way."""
+def segment_course(
+    seed: int, number: int, layout: str | None = None, guidance: Path | None = None
+) -> Course | None:
+    """Returns the course of a generated segment; None where the guidance finds no way.
+
+    `guidance` is a folder from which it is loaded where it fits.
+    """
     try:
-        return Course.segment(*draw_segment(seed, number, layout))
+        return Course.segment(*draw_segment(seed, number, layout), guidance)
     except GuidanceError:
         return None
 

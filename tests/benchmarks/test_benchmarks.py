@@ -8,9 +8,11 @@ import pytest
 from benchmarks import missions, robustness, unseen
 
 
-def row(pilot, segment, success, level=1.0):
+def row(pilot, segment, home, level=1.0, time=1.1):
+    times = [time] * home + [None] * (4 - home)
+    ends = dict.fromkeys(robustness.ENDS, 0) | {"home": home, "too late": 4 - home}
     return {"pilot": pilot, "kind": "wind", "level": level, "segment": segment, "flights": 4,
-            "success": success, "contacts": 0, "times": [1.1] * success}  # fmt: skip
+            **ends, "times": times, "gave_way": 0.0}  # fmt: skip
 
 
 def test_a_difference_is_that_of_the_rates_on_the_same_segments():
@@ -26,11 +28,21 @@ def test_a_difference_is_that_of_the_rates_on_the_same_segments():
     assert found["high"] - found["low"] == pytest.approx(2 * 1.96 * 0.125 / 40**0.5, rel=0.15)
 
 
+def test_times_are_compared_over_flights_that_both_finish():
+    assert robustness.time_ratio([1.2, None, 2.0], [1.0, 1.0, None]) == pytest.approx(1.2)
+    assert robustness.time_ratio([1.2, None, 2.0], [None, 1.0, None]) is None
+    assert robustness.time_ratio([1.0, 1.2, None], [1.1]) == pytest.approx(1.0)  # other draws
+    rows = [row("policy", 0, 3, time=1.2), row("adaptive law", 0, 2, time=1.0)]
+    (found,) = robustness.differences(rows)
+    assert found["slower"] == pytest.approx(1.2)
+
+
 def test_each_segment_counts_once_in_the_time():
     rows = [row("law", 0, 4), row("law", 1, 1)]
     rows[0]["times"] = [1.2] * 4
     (found,) = robustness.summary(rows)
-    assert found["success_rate"] == 5 / 8
+    assert found["home"] == 5 / 8
+    assert found["too late"] == 3 / 8
     assert found["time"] == pytest.approx(1.15)
 
 
@@ -38,7 +50,7 @@ def test_flights_of_another_policy_are_not_taken_over(tmp_path):
     every = tmp_path / "found.flights.json"
     args = robustness.Args(segments=2)
     kept = [row(name, robustness.FIRST, 4) for name in ("law", "policy")]
-    saved = {"draws": args.draws, "seed": 0, "policies": {"policy": "another"}, "flights": kept}
+    saved = robustness.settings(args) | {"policies": {"policy": "another"}, "flights": kept}
     every.write_text(json.dumps(saved))
     assert [r["pilot"] for r in robustness.flown_before(every, args)] == ["law"]
     every.write_text(json.dumps(saved | {"policies": robustness.policies(["policy"])}))
