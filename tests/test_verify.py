@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mjcollect.geometry.boxes import segment_box_distance
+from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import Violation, _clearance, verify
@@ -332,3 +333,57 @@ def test_clearance_equals_the_exact_distance():
     assert (exact < radius).sum() > 100
     assert np.allclose(found[exact < radius], exact[exact < radius], atol=1e-9)
     assert np.all(found[exact >= radius] >= radius)
+
+
+# Disturbed air and moving boxes
+
+
+def test_disturbed_flights_may_creep_at_stops_push_harder_and_leave_the_bounds_a_little():
+    flight = mission()
+    row = len(flight) - 1
+    assert kinds(verify(scene(a_max=19.0, v_max=45.0), flight, ORDER)) == {"speed", "acceleration"}
+    assert verify(scene(a_max=19.0, v_max=45.0), flight, ORDER, disturbed=True) == []
+    creeping = edited(flight, "v", row, [1.9, 0, 0])
+    assert kinds(verify(scene(), creeping, ORDER, disturbed=True)) == {"timestep"}
+    hurrying = edited(flight, "v", row, [2.1, 0, 0])
+    assert kinds(verify(scene(), hurrying, ORDER, disturbed=True)) == {"timestep", "return"}
+    low = fly([[0, 0, 0], *(ITEMS[item] for item in ORDER), [0, 0, 0]])
+    for shift, found in ((4.9, {"start"}), (5.1, {"start", "bounds", "return"})):
+        shifted = replace(low, x=low.x - [0, 0, shift])
+        assert kinds(verify(scene(epsilon=5.2), shifted, ORDER, disturbed=True)) == found
+
+
+def mover(gap: float, sideways: float = 0.0) -> MovingBox:
+    """Comes towards the first segment's middle from above, down to `gap` m over the body's way."""
+    down = 200 + gap  # 2 m high: its lower side is `gap` above the line at the end of its path
+    path = ((150.0, sideways, 201.0 + down), (150.0, sideways, 1.0 + gap))
+    flight = mission()
+    passing = float(flight.t[np.argmin(np.abs(flight.x[:2000, 0] - 150.0))])
+    return MovingBox((2.0, 2.0, 2.0), path, (200 + down - gap) / passing)
+
+
+def test_a_moving_box_is_missed_or_touched_by_a_hair():
+    assert verify(scene(obstacles=[]), mission(), ORDER, moving=[mover(0.6)]) == []
+    (hit,) = verify(scene(obstacles=[]), mission(), ORDER, moving=[mover(0.3)])
+    assert (hit.kind, hit.segment, hit.limit) == ("contact", 0, 0.5)
+    assert hit.value < 0.5
+    assert verify(scene(obstacles=[]), mission(), ORDER, moving=[mover(0.3, sideways=2.0)]) == []
+
+
+def test_a_fast_thin_box_that_is_nowhere_near_at_any_row_is_found():
+    """It crosses the way between two rows: only the relative sweep sees it."""
+    flight = mission()
+    row = int(np.argmin(np.abs(flight.x[:2000, 0] - 150.0)))
+    when, speed = flight.t[row] + STEP / 2, 5000.0
+    where = (flight.x[row] + flight.x[row + 1]) / 2
+    path = tuple((where[0], where[1] + y, where[2]) for y in (-speed * when, speed * when))
+    box = MovingBox((4.0, 0.1, 4.0), path, speed)
+    gaps = np.abs(flight.x[:, 1] - box.centres(flight.t)[:, 1])[row - 5 : row + 6]
+    assert gaps.min() > 40
+    assert "contact" in kinds(verify(scene(obstacles=[]), flight, ORDER, moving=[box]))
+
+
+def test_the_boxes_of_the_scene_count_unless_others_are_named():
+    with_box = scene(obstacles=[], moving=[mover(0.3)])
+    assert kinds(verify(with_box, mission(), ORDER)) == {"contact"}
+    assert verify(with_box, mission(), ORDER, moving=[]) == []
