@@ -13,6 +13,7 @@ __version__ = "0.2.0"
 _HOME = {
     "BatchedFlightEnv": "mjcollect.envs.batch",
     "Course": "mjcollect.envs.course",
+    "Disturbance": "mjcollect.flight.disturbance",
     "LearnConfig": "mjcollect.learning.config",
     "Mpc": "mjcollect.planners.mpc",
     "Reference": "mjcollect.planners.reference",
@@ -23,6 +24,7 @@ _HOME = {
     "Trainer": "mjcollect.learning.trainer",
     "Trajectory": "mjcollect.trajectory",
     "asset_path": "mjcollect.scene.assets",
+    "fly_disturbed": "mjcollect.envs.disturbed",
     "load": "mjcollect.envs.dm_env",
     "plan_order": "mjcollect.scene",
     "segment_trainer": "mjcollect.learning.trainer",

@@ -31,7 +31,7 @@ from train.jobs.workers import (
     run_jobs,
     settings_arguments,
 )
-from train.support.arguments import TrainingArgs, check_device, check_least
+from train.support.arguments import TrainingArgs, check_device, check_least, check_still
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_display import MissionDisplay
 from train.support.mission_report import finish, mission_result, write_mission
@@ -77,6 +77,7 @@ def train_mission(args: Args) -> int:
     """
     _check(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
+    check_still(scene)
     args, policy = _begin_from(args)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):

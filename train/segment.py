@@ -26,7 +26,7 @@ from mjcollect.scene.bounds import detour_bound, segment_bound
 from mjcollect.scene.order import first_blocked, node_name, plan_order, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
-from train.support.arguments import TrainingArgs, check_device, check_least
+from train.support.arguments import TrainingArgs, check_device, check_least, check_still
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_report import film, write_record
 from train.support.presets import with_preset, with_slot
@@ -63,6 +63,7 @@ def train_segment(args: Args) -> int:
         policy, learn = start_from(args.policy, args.learn)
         args = dataclasses.replace(args, learn=learn)
     scene = with_slot(Scene.find(args.scene), args.slot)
+    check_still(scene)
     order = plan_order(scene, args.order, seed=args.seed)
     index = first_blocked(scene, order) if args.segment is None else args.segment
     if not 0 <= index <= len(order):

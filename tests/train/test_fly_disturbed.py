@@ -17,6 +17,8 @@ from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import verify_run
 from train.fly import main as fly
+from train.mission import main as train_mission
+from train.segment import main as train_segment
 
 AIR = ["--wind", "3", "--gusts", "1", "--gain", "0.1", "--delay", "0.04", "--noise", "0.2"]
 FILES = ("mission.json", "trajectory.csv", "shield.csv", "air.json", "tracks.png", "report.md")
@@ -154,4 +156,13 @@ def test_bad_input_is_refused_before_anything_is_written(
 ) -> None:
     assert fly([*law, *arguments, "--out", str(tmp_path / "run")]) == 2
     assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("program", [train_mission, train_segment])
+def test_learning_among_moving_boxes_is_refused(scene_file, tmp_path, capsys, program) -> None:
+    moving = tmp_path / "moving.json"
+    replace(Scene.load(scene_file), moving=[MOVER]).save(moving)
+    assert program(["--scene", str(moving), "--out", str(tmp_path / "run")]) == 2
+    assert "moving: 1 boxes: only train.fly flies among" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

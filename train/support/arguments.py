@@ -12,6 +12,7 @@ import tyro
 
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import NO_POLICY
+from mjcollect.scene.scene import Scene
 from train.support.presets import PresetName
 from train.support.run_folder import RunError
 
@@ -69,6 +70,19 @@ def check_least(args: object, **least: int) -> None:
         if value < bound:
             too_small = "must not be negative" if bound == 0 else f"must be at least {bound}"
             raise RunError(f"--{field.replace('_', '-')}: {value}: {too_small}")
+
+
+def check_still(scene: Scene) -> None:
+    """Refuses a scene whose boxes move, which learning does not know of.
+
+    Raises:
+        RunError: some do.
+    """
+    if scene.moving:
+        raise RunError(
+            f"--scene: {scene.name}: moving: {len(scene.moving)} boxes: only train.fly flies among "
+            "moving boxes; leave the key out to learn"
+        )
 
 
 def check_device(device: Device) -> None:
