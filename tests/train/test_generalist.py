@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from mjcollect.envs.course import Course
-from mjcollect.learning.policy import TrainedPolicy
+from mjcollect.envs.observation import SIZE as PATH
+from mjcollect.learning.ddpg import make_actor
+from mjcollect.learning.policy import TrainedPolicy, policy_digest
 from train import generalist
 from train.jobs.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
 from train.support import training_loop
 from train.support.mission_report import read_metrics
-from train.support.run_folder import RunFolder
+from train.support.run_folder import RunError, RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--segments 5 --held-out 2 --courses 4 --rotate 16 --workers 1 --checkpoint-every 8 "
@@ -200,3 +202,47 @@ def test_bad_settings_are_refused_before_anything_is_written(arguments, named, t
     assert generalist.main(["--out", str(out), *arguments]) == 2
     assert named in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_wider_observation_does_not_change_the_policy_at_first(tmp_path):
+    """Of `path` in `robust`: actions are the same whatever the numbers are that it does not know."""
+    narrow = TrainedPolicy(make_actor(4, 8), "path")
+
+    class Robust:
+        @staticmethod
+        def observe():
+            return np.zeros((2, 7))
+
+    wide = TrainedPolicy(make_actor(7, 8), "robust")
+    wide.actor.load_state_dict(generalist.widened(narrow, Robust()))
+    seen = np.random.default_rng(0).normal(size=(5, 7)).astype(np.float32)
+    np.testing.assert_allclose(wide(seen), narrow(seen[:, :4]), atol=1e-6)
+    wider = TrainedPolicy(make_actor(9, 8), "robust")
+    with pytest.raises(RunError, match="--policy: takes 9 numbers"):
+        generalist.widened(wider, Robust())
+
+
+def test_what_fails_is_drawn_more_often():
+    args, numbers = generalist.Args(courses=2), list(range(10))
+    chance = np.ones(10)
+    chance[3] = generalist.HARDER
+    drawn = [
+        generalist.drawn(args, numbers, chance / chance.sum(), rotation, 0)
+        for rotation in range(600)
+    ]
+    assert all(len(set(own)) == 2 for own in drawn)
+    count = np.bincount(np.concatenate(drawn), minlength=10)
+    others = np.delete(count, 3).mean()
+    assert 2.5 < count[3] / others < 4.0
+
+
+def test_learns_on_from_a_policy_in_disturbed_air(tmp_path):
+    """And remembers which segments fail."""
+    TrainedPolicy(make_actor(PATH, 8), "path").save(tmp_path / "calm.safetensors")
+    out = tmp_path / "out"
+    more = ["--observation", "robust", "--reward", "careful", "--disturbed", "0.5", "--policy"]
+    argv = ["--out", str(out), *TINY, *more, str(tmp_path / "calm.safetensors")]
+    assert generalist.main(argv) == 0
+    config = json.loads((out / "config.json").read_text())
+    assert config["policy"] == policy_digest(tmp_path / "calm.safetensors")
+    assert TrainedPolicy.load(out / "policy.safetensors").observation == "robust"
