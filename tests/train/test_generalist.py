@@ -205,7 +205,7 @@ def test_bad_settings_are_refused_before_anything_is_written(arguments, named, t
 
 
 def test_a_wider_observation_does_not_change_the_policy_at_first(tmp_path):
-    """Of `path` in `robust`: actions are the same whatever the numbers are that it does not know."""
+    """Of `path` in `robust`: actions are the same whatever the new numbers are."""
     narrow = TrainedPolicy(make_actor(4, 8), "path")
 
     class Robust:
