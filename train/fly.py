@@ -69,11 +69,13 @@ class Args:
     order: str | None = None
     """Orders the items of --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
-    """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>."""
+    """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>, with
+    the disturbances before the seed."""
     guidance_cache: Path | None = None
     """Loads guidance from this folder where it fits, and adds what had to be built."""
     seed: int | None = None
-    """Sets the seed of the random order for --scene and of --finetune; 0 by default."""
+    """Sets the seed of the random order for --scene, of --finetune and of disturbances; 0 by
+    default."""
     shield: bool = True
     """Bends commands of policy and guidance that leave no way to stop without touching anything.
     Runs learned without the shield, mpc and reference always fly without it."""

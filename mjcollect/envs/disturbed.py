@@ -32,6 +32,7 @@ HOME, STANDING, MOVING = "home", "standing box", "moving box"
 OUTSIDE, LATE = "out of bounds", "too late"
 ENDS = (HOME, STANDING, MOVING, OUTSIDE, LATE)  # A flight ends in one of these ways.
 CONFIDENCE = 0.95
+CLEAR = 20.0  # A box that is drawn begins at least this far (m) from where the flight begins.
 Pilot = Callable[[Simulations], Array]  # actions (N, 3) in units of a_max
 
 
@@ -147,6 +148,10 @@ class CourseAir(Disturbances):
             speed, turned = np.full((n, 1), self.mover), np.radians(self.level.turned)
             ends = self.nodes[segment], self.nodes[segment + 1]
             drawn.begin(np.arange(n), *ends, speed, self.rng, turned)
+            for _ in range(3):  # No box begins where the flight does.
+                off = np.abs(start - drawn.centres()[:, 0]) - drawn.half[:, 0]
+                near = np.linalg.norm(np.maximum(off, 0.0), axis=1) < CLEAR
+                drawn.phase[near, 0] = (drawn.phase[near, 0] + 0.25) % 1.0
             movers.path[which, b, :2] = drawn.path[:, 0]
             movers.path[which, b, 2:] = drawn.path[:, 0, -1:]
             movers.half[which, b], movers.phase[which, b] = drawn.half[:, 0], drawn.phase[:, 0]

@@ -13,6 +13,7 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.disturbed import (
     ENDS,
+    CourseAir,
     DisturbedFlight,
     DisturbedFlights,
     by_policies,
@@ -122,6 +123,19 @@ def test_boxes_move_across_any_long_segment(corridor) -> None:
             corridor, each.flight.trajectory, (0, 1), disturbed=True, moving=each.air.moving
         )
         assert ("contact" in {v.kind for v in found}) == (each.ended in ENDS[1:3])
+
+
+def test_no_box_begins_where_the_flight_does(corridor) -> None:
+    """The depot lies beside the middle of long segments, where boxes move to and fro."""
+    items = [[20.0, 30.0, 30.0], [390.0, 30.0, 30.0], [12.0, 32.0, 30.0]]
+    near = replace(corridor, depot=[200.0, 50.0, 57.0], items=items, obstacles=[])
+    course = Course.mission(near, (0, 1, 2))
+    level, n = Disturbance(mover=5.0, boxes=3), 200
+    air = CourseAir(course, level, n, np.random.default_rng(0))
+    start = np.tile(near.depot, (n, 1))
+    air.begin(np.arange(n), start, start)
+    off = np.abs(start[:, None] - air.movers.centres()) - air.movers.half
+    assert np.linalg.norm(np.maximum(off, 0.0), axis=2).min() >= 20.0
 
 
 def test_too_short_segments_for_a_moving_box_are_refused(course) -> None:

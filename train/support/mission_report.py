@@ -276,10 +276,12 @@ def outcome(result: dict[str, Any], folder: Path) -> str:
     where = os.path.relpath(folder)
     if "flights" in result:
         time = measured(result["mean_time"], ".1f")
+        others = {end: count for end, count in result["ended"].items() if count and end != "home"}
+        ended = "".join(f", {count} {end}" for end, count in others.items())
         return (
             f"{result['ended']['home']} of {result['flights']} flights came home: "
             f"{measured(result['success_rate'], '.1%')}, in {time} s; contact "
-            f"{measured(result['contact_rate'], '.1%')}: {where}"
+            f"{measured(result['contact_rate'], '.1%')}{ended}: {where}"
         )
     if not result["success"]:
         return f"no success ({cause(result)}): {where}"
