@@ -97,7 +97,6 @@ def mpc(course: Course) -> Pilot:
         nonlocal planner
         if sims.episodes.steps[0] == 0:
             planner = Mpc(course)
-        planner.see(sims.episodes.boxes[0])
         return planner.action(sims.episodes)[None]
 
     return pilot

@@ -5,12 +5,16 @@ constraints are hard, and every plan ends at rest: the remainder of the last pla
 always safe, and is flown where the solver finds nothing better. As soon as the target can be
 reached within the horizon, the plan is the one with the fewest slots; until then it gets as far as
 it can along the shortest path. Time left in the last slot moves the stop nearer to the next target.
+
+In disturbed air it plans with the estimates that every pilot gets there: from the foretold state,
+with the acceleration to count on, a margin to boxes that grows with the time, and each moving box
+in each slot where it is believed to be by then.
 """
 
 from __future__ import annotations
 
-import copy
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +26,13 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import marks, path_length, point_along
+from mjcollect.planners.foresight import Foresight
 from mjcollect.planners.plan import Plan, is_flyable
 from mjcollect.planners.slot_program import COMFORT, Program
-from mjcollect.scene.scene import Scene
 
 HORIZON = 25  # A plan has at most this many slots.
 LEAD = 40.0  # The carrot, which pulls a plan's end along the path, is at most this far ahead (m).
+BEYOND = (25.0, 50.0)  # Where a moving box holds it, it is farther ahead by these (m).
 GRAIN = 2.0  # Points of the path are this far apart (m) when they are tested for being in sight.
 JOIN = 60.0  # The path may be joined between its corners within this distance along it (m).
 FIRST_SHARE = 0.6  # The first guess accelerates along the path at this share of a_max.
@@ -79,6 +84,7 @@ class Mpc:
         self._scene = course.scene
         self._world = World.stack([course.scene])
         self._program = Program(course.scene)
+        self._foresight: Foresight | None = None
         self._plan: Plan | None = None
         self._target = -1
         self.counts: Counter[str] = Counter()
@@ -99,15 +105,22 @@ class Mpc:
             "rules of flight."
         )
 
-    def see(self, boxes: Array) -> None:
-        """Makes later plans avoid the boxes (B, 2, 3) in m, as if all of them stood still."""
-        self._scene, self._program.scene = (
-            _among(scene, boxes) for scene in (self._scene, self._program.scene)
-        )
-        self._world = self._world._replace(boxes=boxes[None])
+    def look(self, episodes: Episodes) -> None:
+        """Makes later plans reckon with what the one episode, if disturbed, knows of the air."""
+        if episodes.disturbances is None:
+            return
+        foresight = Foresight.of(episodes)
+        self._scene = foresight.scene(self._course.scene, episodes.q[0])
+        self._world = World.stack([self._scene])
+        self._foresight = foresight
+        self._program.scene, self._program.foresight = self._scene, foresight
 
     def action(self, episodes: Episodes) -> Array:
-        """Returns the action (3,) in units of a_max, of norm <= 1, for the one episode."""
+        """Returns the action (3,) in units of the a_max to count on, of norm <= 1, for one episode.
+
+        In disturbed air it looks first, and its commands are countered as any pilot's.
+        """
+        self.look(episodes)
         q, v, target = episodes.q[0], episodes.seen_v[0], int(episodes.target[0])
         plan = self.plan(q, v, target)
         if plan is None:
@@ -130,61 +143,78 @@ class Mpc:
             rest = last.later(q, v)
         segment = self._view(q, v, target)
         plan = self._first(segment) if rest is None else self._next(segment, rest)
-        if plan is not None:
-            self.counts["planned"] += 1
-        elif rest is not None and is_flyable(self._world, rest):
+        if plan is None and rest is not None and is_flyable(self._world, rest, self._foresight):
             self.counts["replayed"] += 1
             plan = rest
+        else:
+            if plan is None and rest is not None and self._foresight is not None:
+                plan = self._first(segment)  # A gust may have made the last plan worthless.
+            if plan is not None:
+                self.counts["planned"] += 1
         self._plan, self._target = plan, target
         return plan
 
     def _first(self, segment: _SegmentView) -> Plan | None:
         """Returns a plan where there is no last one, or None."""
-        for slots in self._numbers(segment.likely):
-            plan = self._solve(segment, self._guess(segment, slots), arrive=True, rounds=ROUNDS)
-            if plan is not None:
-                return plan
-        return self._solve(
-            segment, self._guess(segment, self._horizon), arrive=False, rounds=ROUNDS
+        near = [self._guess(segment, slots) for slots in self._numbers(segment.likely)]
+        far = [self._guess(segment, self._horizon)]
+        return self._any(segment, near, arrive=True, rounds=ROUNDS) or self._any(
+            segment, far, arrive=False, rounds=ROUNDS
         )
 
     def _next(self, segment: _SegmentView, rest: Plan) -> Plan | None:
         """Returns a plan near the remainder `rest` of the last one, or None."""
-        path = rest.q
+        path, disturbed = rest.q, self._foresight is not None
         if rest.arrives:
             # As the path moves, its planes turn, so one slot less may be enough by now.
-            for slots in range(max(rest.slots - 1, segment.least, 2), rest.slots + 1):
-                shorter = np.concatenate([path[:slots], path[-1:]])
-                plan = self._solve(segment, shorter, arrive=True)
+            numbers = range(max(rest.slots - 1, segment.least, 2), rest.slots + 1)
+            paths = [np.concatenate([path[:slots], path[-1:]]) for slots in numbers]
+            if disturbed:  # A gust may also have made some slots more necessary.
+                most = min(rest.slots + TRIES, self._horizon)
+                path = np.concatenate([path, np.repeat(path[-1:], TRIES, axis=0)])
+                paths += [path[: slots + 1] for slots in range(max(rest.slots, 1) + 1, most + 1)]
+        else:
+            paths = [path[: slots + 1] for slots in self._numbers(segment.likely)]
+        plan = self._any(segment, paths, arrive=True)
+        if plan is None and (disturbed or not rest.arrives):
+            plan = self._any(segment, [path[: self._horizon + 1]], arrive=False)
+        return plan
+
+    def _any(
+        self, segment: _SegmentView, paths: Sequence[Array], *, arrive: bool, rounds: int = 1
+    ) -> Plan | None:
+        """Returns the first plan that there is near one of the paths, or None.
+
+        In disturbed air the margins give way where there is none with all of them.
+        """
+        for give in (False,) if self._foresight is None else (False, True):
+            for path in paths:
+                plan = self._solve(segment, path, arrive=arrive, rounds=rounds, give=give)
                 if plan is not None:
                     return plan
-            return None
-        for slots in self._numbers(segment.likely):
-            plan = self._solve(segment, path[: slots + 1], arrive=True)
-            if plan is not None:
-                return plan
-        return self._solve(segment, path, arrive=False)
+        return None
 
     def _numbers(self, likely: int) -> range:
         """Returns the numbers of slots in which to try to arrive."""
         return range(max(likely, 2), min(likely + TRIES - 1, self._horizon) + 1)
 
     def _solve(
-        self, segment: _SegmentView, path: Array, *, arrive: bool, rounds: int = 1
+        self, segment: _SegmentView, path: Array, *, arrive: bool, rounds: int, give: bool
     ) -> Plan | None:
         """Returns a flyable plan near `path` (M + 1, 3), or None.
 
         Args:
             arrive: whether it must end in the target's ball.
             rounds: more than one where the path is a first guess that may cross boxes.
+            give: whether the margins of disturbed air may give way.
         """
         best: Plan | None = None
         elastic = rounds > 1
         for _ in range(rounds):
-            pull = segment.next_goal if arrive else self._carrot(segment.way, path[-1])
+            pull = segment.next_goal if arrive else self._carrot(segment.way, path)
             ball = (segment.centre, segment.radius) if arrive else None
             self.counts["solves"] += 1
-            solution = self._program.solve(segment.v, path, pull, ball, elastic)
+            solution = self._program.solve(segment.v, path, pull, ball, elastic, give)
             if solution is None:
                 break
             path = solution.q
@@ -193,7 +223,7 @@ class Mpc:
                 continue
             arrives = arrive or np.linalg.norm(path[-1] - segment.centre) <= segment.radius
             plan = Plan(solution.q, solution.v, self._scene.slot, bool(arrives))
-            if not is_flyable(self._world, plan):
+            if not is_flyable(self._world, plan, self._foresight):
                 self.counts["refused"] += 1
                 continue
             settled = best is not None and np.linalg.norm(plan.q[-1] - best.q[-1]) < SETTLED
@@ -202,7 +232,24 @@ class Mpc:
                 break
         return best
 
-    def _carrot(self, way: Array, end: Array) -> Array:
+    def _carrot(self, way: Array, path: Array) -> Array:
+        """Returns the point (3,) that pulls a plan near `path` (M + 1, 3) along `way` (P, 3).
+
+        Moving boxes that hide the carrot from the plan's end are gone round. Where one hides it in
+        itself, a point farther along the way takes its place.
+        """
+        end, foresight = path[-1], self._foresight
+        carrot = self._carrot_in_sight(way, end)
+        if foresight is None:
+            return carrot
+        farther = point_along(way, _along(way, end) + LEAD + np.array(BEYOND))
+        for pull in (carrot, *farther):
+            point = foresight.way_round(end, pull, len(path) - 1, self._scene)
+            if point is not None:
+                return point
+        return carrot
+
+    def _carrot_in_sight(self, way: Array, end: Array) -> Array:
         """Returns the farthest point of `way` (P, 3), up to LEAD ahead, in sight of a plan's end.
 
         A point out of sight would pull the plan against the box between them and hold it there.
@@ -273,13 +320,6 @@ class Mpc:
         covered = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * scene.slot)])
         length = path_length(segment.way)
         return point_along(segment.way, covered * min(1.0, length / max(covered[-1], 1e-9)))
-
-
-def _among(scene: Scene, boxes: Array) -> Scene:
-    """Returns the scene with other boxes (B, 2, 3), unchecked: a moving box may pass an item."""
-    other = copy.copy(scene)
-    object.__setattr__(other, "obstacles", boxes)
-    return other
 
 
 def _along(path: Array, point: Array) -> float:

@@ -14,6 +14,7 @@ from mjcollect.flight.contact import contacts, leaves_bounds
 from mjcollect.flight.straight_line import roll_out
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
+from mjcollect.planners.foresight import Foresight
 
 
 class Planner(Protocol):
@@ -70,11 +71,11 @@ class Plan:
         )
 
 
-def is_flyable(world: World, plan: Plan) -> bool:
+def is_flyable(world: World, plan: Plan, foresight: Foresight | None = None) -> bool:
     """Returns whether a plan keeps both limits, touches no box and stays in the bounds.
 
     Args:
-        world: world of one scene. plan: the plan to check.
+        world: world of one scene. plan: the plan to check. foresight: what knows of moving boxes.
     """
     a = plan.a
     path, speeds = roll_out(world, plan.q[0], plan.v[0], a)
@@ -83,4 +84,6 @@ def is_flyable(world: World, plan: Plan) -> bool:
     if np.any(np.linalg.norm(speeds[:, -1], axis=1) > world.v_max[0]):
         return False
     sensed = np.zeros(path[:, 1:].shape[:2], dtype=bool)
-    return not (contacts(world, path, sensed).any() or leaves_bounds(world, path).any())
+    if contacts(world, path, sensed).any() or leaves_bounds(world, path).any():
+        return False
+    return foresight is None or not foresight.touches(world, path)

@@ -32,18 +32,19 @@ class Planes:
 
 
 def separate(path: Array, boxes: Array) -> Planes:
-    """Returns planes between the straight pieces of `path` (M + 1, 3) and near `boxes` (B, 2, 3).
+    """Returns planes between the straight pieces of `path` (M + 1, 3) and near boxes.
 
-    The normal joins the nearest points of piece and box, which gives the largest clearance that
-    any plane can. Where they overlap it is the normal of the face with the shortest way out.
+    `boxes` are (B, 2, 3), or (M, B, 2, 3) where each piece has boxes of its own. The normal joins
+    the nearest points of piece and box, which gives the largest clearance that any plane can. Where
+    they overlap it is the normal of the face with the shortest way out.
     """
     start, end = path[:-1, None], path[1:, None]
-    low, high = boxes[:, 0], boxes[:, 1]
+    low, high = boxes[..., 0, :], boxes[..., 1, :]
     gap = np.maximum(low - np.maximum(start, end), np.minimum(start, end) - high)
     near = np.sum(np.maximum(gap, 0.0) ** 2, axis=-1) < SIGHT**2
     piece, box = np.nonzero(near)
     start, end = path[piece], path[piece + 1]
-    low, high = low[box], high[box]
+    low, high = (np.broadcast_to(corner, gap.shape)[piece, box] for corner in (low, high))
     point = _nearest_point(start, end, low, high)
     normal = point - np.clip(point, low, high)
     distance = np.linalg.norm(normal, axis=1)

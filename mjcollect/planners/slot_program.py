@@ -18,6 +18,7 @@ from scipy import sparse
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.planners.cone_solver import Rows, minimise, norms, settings, within
+from mjcollect.planners.foresight import Foresight
 from mjcollect.planners.separating_planes import SIGHT, separate
 from mjcollect.scene.scene import Scene
 
@@ -26,6 +27,7 @@ COMFORT = 0.5
 # The cost of one metre of missing comfort in one slot, in metres of distance to the pulling point.
 PROXIMITY_COST = 1e-3
 ELASTIC_COST = 30.0  # This replaces PROXIMITY_COST while boxes may be overlapped.
+GIVING_COST = 0.3  # This replaces PROXIMITY_COST while the margin in disturbed air may give way.
 EFFORT_COST = 1e-6  # The cost of an acceleration: metres of distance per (m/s^2)^2 and slot.
 SHORT = 1e-5  # This share of each limit stays unused: more than the solver's tolerance takes.
 SOLVER_MARGIN_M = 1e-3  # This margin to boxes (m) is added to the proven one, for the same reason.
@@ -37,7 +39,8 @@ class Solution:
 
     Attributes:
         q, v: (M + 1, 3) m and m/s at slot starts, the given state first; v ends with zeros.
-        slack: the most by which a slot's clearance falls short of the comfortable one (m).
+        slack: the most by which a slot's clearance falls short of the comfortable one (m), beyond
+            what a margin that may give way allows.
     """
 
     q: Array
@@ -54,12 +57,14 @@ class Program:
     nothing is kept between solves.
 
     Attributes:
-        scene: scene whose limits and boxes hold. statuses: counts of Clarabel's final statuses.
+        scene: scene whose limits and boxes hold. foresight: what is known of disturbances, if any.
+        statuses: counts of Clarabel's final statuses.
     """
 
     def __init__(self, scene: Scene) -> None:
         """Prepares programs for flights in `scene`."""
         self.scene = scene
+        self.foresight: Foresight | None = None
         self._settings = settings()
         self.statuses: Counter[str] = Counter()
 
@@ -70,6 +75,7 @@ class Program:
         pull: Array,
         ball: tuple[Array, float] | None = None,
         elastic: bool = False,
+        give: bool = False,
     ) -> Solution | None:
         """Returns the motion that ends nearest to a pulling point, or None without a solution.
 
@@ -79,8 +85,12 @@ class Program:
             pull: (3,) the pulling point (m).
             ball: centre (3,) and radius (m) of the ball in which the motion must end, if any.
             elastic: whether boxes may be overlapped at a cost, for a path that is a first guess.
+            give: whether the margins of disturbed air may give way at a cost.
         """
         count, start = len(path) - 1, path[0]
+        margin = np.zeros(count)
+        if self.foresight is not None:
+            margin = self.foresight.margins(count, self.scene.slot)
         # Columns of v_k and q_k (M + 1, 3), slack_k (M,) and t.
         at_v = np.arange(3 * (count + 1)).reshape(-1, 3)
         at_q, at_slack = at_v + at_v.size, 2 * at_v.size + np.arange(count)
@@ -88,7 +98,8 @@ class Program:
         rows = Rows()
         self._dynamics(rows, at_q, at_v)
         zero = rows.count
-        self._boxes(rows, at_q, at_slack, path, elastic)
+        given = margin if give else np.zeros(count)
+        self._boxes(rows, at_q, at_slack, path, elastic, margin, given)
         self._bounds(rows, at_q, at_v, path)
         rows.cones = [clarabel.ZeroConeT(zero), clarabel.NonnegativeConeT(rows.count - zero)]
         self._limits(rows, at_v)
@@ -99,12 +110,12 @@ class Program:
         fixed = np.full(at_t + 1, np.nan)
         fixed[at_v[0]], fixed[at_q[0]], fixed[at_v[-1]] = v, 0.0, 0.0
         cost = np.zeros(at_t + 1)
-        cost[at_slack] = ELASTIC_COST if elastic else PROXIMITY_COST
+        cost[at_slack] = ELASTIC_COST if elastic else GIVING_COST if give else PROXIMITY_COST
         cost[at_t] = 1.0
         z = self._solve(rows, cost, fixed, at_v)
         if z is None:
             return None
-        slack = float(z[at_slack].max())
+        slack = float((z[at_slack] - given).max())
         return Solution(np.concatenate([start[None], start + z[at_q[1:]]]), z[at_v], slack)
 
     def _dynamics(self, rows: Rows, at_q: NDArray[np.intp], at_v: NDArray[np.intp]) -> None:
@@ -129,18 +140,28 @@ class Program:
         at_slack: NDArray[np.intp],
         path: Array,
         elastic: bool,
+        margin: Array | float = 0.0,
+        given: Array | float = 0.0,
     ) -> None:
         """Keeps both ends of every slot's piece on the free side of its planes.
 
         Within a slot the motion is a parabola, which deviates from the straight piece between its
-        ends by up to a_max slot^2 / 8.
+        ends by up to a_max slot^2 / 8. What a moving box sweeps in a slot is that slot's box.
+
+        Args:
+            rows: all constraints. at_q, at_slack, path, elastic: as in `solve`.
+            margin: (M,) m that a slot keeps on top of what is proven.
+            given: (M,) m by which it may give way.
         """
-        scene = self.scene
-        planes = separate(path, scene.obstacles)
+        scene, boxes, count = self.scene, self.scene.obstacles, len(at_slack)
+        if self.foresight is not None:
+            moving = self.foresight.swept(count, scene.slot)
+            still = np.broadcast_to(boxes, (count, *boxes.shape))
+            boxes = np.concatenate([still, moving], axis=1)
+        planes = separate(path, boxes)
         piece, normal = planes.piece, planes.normal
-        least = np.full(
-            len(piece), scene.uav_radius + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
-        )
+        proven = scene.uav_radius + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
+        least = proven + np.broadcast_to(margin, count)[piece]
         # The present position cannot be moved, so the first slot keeps the clearance that it has.
         here = normal @ path[0] - planes.offset
         first = piece == 0
@@ -152,8 +173,9 @@ class Program:
         rows.add(right, (at_q[piece + 1], -normal), (at_slack[piece], -1.0))
         piece, normal, right = piece[later], normal[later], right[later]
         rows.add(right, (at_q[piece], -normal), (at_slack[piece], -1.0))
-        rows.add(np.zeros(len(at_slack)), (at_slack, -1.0))
-        rows.add(np.full(len(at_slack), 1e4 if elastic else COMFORT), (at_slack, 1.0))
+        rows.add(np.zeros(count), (at_slack, -1.0))
+        most = 1e4 if elastic else COMFORT + given
+        rows.add(np.array(np.broadcast_to(most, count)), (at_slack, 1.0))
 
     def _bounds(
         self,

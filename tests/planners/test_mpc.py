@@ -7,12 +7,16 @@ import json
 import numpy as np
 import pytest
 
+from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.dm_env import make_environment
+from mjcollect.envs.episode import Rules
 from mjcollect.envs.recording import fly_law, record
+from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.flight.straight_line import roll_out
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import point_box_distance, segment_box_distance
+from mjcollect.planners.foresight import CAUTION, LAG, MOST, Foresight
 from mjcollect.planners.mpc import HORIZON, Mpc
 from mjcollect.planners.plan import Plan, is_flyable
 from mjcollect.planners.separating_planes import SIGHT, separate
@@ -183,6 +187,98 @@ def test_planes_separate_as_far_as_any_can():
     assert apart.sum() > 100
     assert np.allclose(planes.clearance[apart], expected[apart], atol=1e-3)
     assert np.all(planes.clearance[expected == 0.0] <= 1e-9)
+
+
+def disturbed(course, level, estimate="truth"):
+    air = Disturbances(level, 1, np.random.default_rng(0))
+    rules = Rules("guided", shield=False, estimate=estimate)
+    sims = Simulations([course], 1, rules=rules, threads=1, disturbances=air)
+    sims.reset()
+    return sims, air
+
+
+def ended(sims, planner):
+    """How a disturbed flight of one segment ends, and after how many seconds."""
+    slots, over = 0, False
+    while not over:
+        outcome = sims.step(planner.action(sims.episodes)[None])
+        slots, over = slots + 1, bool(outcome.terminated[0] or outcome.truncated[0])
+    return outcome, slots * sims.episodes.world.slot
+
+
+def test_weak_actuators_are_planned_with_what_they_can(open_course):
+    course = Course.segment(open_course.scene, (0, 1), 0)
+    sims, air = disturbed(course, Disturbance(gain=0.25))
+    air._gain[:] = 0.75
+    sims.episodes._update_estimates()
+    planner = Mpc(course)
+    planner.action(sims.episodes)
+    assert np.linalg.norm(planner._plan.a, axis=1).max() == pytest.approx(15.0, rel=1e-3)
+    outcome, seconds = ended(sims, planner)
+    assert outcome.success[0]
+    least = leg_time(500.0 - course.guidance[0].tolerance, 50.0, 15.0)
+    assert least - 0.2 < seconds < least + 3 * 0.2
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """An item 800 m ahead in an empty room."""
+    scene = Scene("hall", 0, [[0, 0, 0], [1000] * 3], [100, 500, 500], [[900, 500, 500]], [])
+    return Course.segment(scene, (0,), 0)
+
+
+@pytest.mark.parametrize("foretold", [True, False])
+def test_a_box_that_crosses_is_passed_where_it_will_be(hall, foretold, monkeypatch):
+    """The body would be 500 m along x after 2.5 s + 337.5 m / 50 m/s = 9.25 s.
+
+    The box then covers the way, but just before it is still beside it. What takes it for one that
+    stands is taken unawares.
+    """
+    if not foretold:
+        monkeypatch.setattr(Foresight, "shifts", lambda self, s: np.zeros((1, *np.shape(s), 3)))
+    late, hits = 0.0, 0
+    for beyond in (-12.0, -4.0, 4.0, 12.0):
+        sims, air = disturbed(hall, Disturbance(mover=20.0), "flight")
+        far = 9.25 * 20.0 - beyond  # so far from the way it starts
+        air.movers.path[0, 0] = [[500, 500 - far, 500], [500, 500 + far, 500]]
+        air.movers.phase[:] = 0.0
+        outcome, seconds = ended(sims, Mpc(hall))
+        hits += bool(outcome.struck[0])
+        late += seconds - leg_time(795.0, 50.0, 20.0)
+    if foretold:  # To cover the way takes the box 2 s.
+        assert hits == 0
+        assert late / 4 < 2.0
+    else:
+        assert hits > 2
+
+
+def test_foresight_moves_boxes_and_widens_margins_with_time():
+    """A box at 10 m/s from 0.1 s after now on; margins of 1.5 times what the air may do."""
+    steps = np.arange(48)[:, None] / 8
+    foresight = Foresight(
+        a_max=15.0, late=0.1, boxes=np.array([[[0.0, 0, 0], [4, 4, 4]]]),
+        ahead=(steps * [10.0, 0, 0])[None], spread=1.0, blur=0.2,
+    )  # fmt: skip
+    swept = foresight.swept(3, 0.2)
+    assert np.allclose(swept[:, 0, 0], [[1, 0, 0], [3, 0, 0], [5, 0, 0]])
+    assert np.allclose(swept[:, 0, 1], [[7, 4, 4], [9, 4, 4], [11, 4, 4]])
+    margins = foresight.margins(25, 0.2)
+    assert np.allclose(margins[:2], [CAUTION * 0.4, CAUTION * (0.4 + LAG * 0.2)])
+    assert margins.max() == MOST
+
+
+def test_a_path_through_the_place_that_a_box_left_is_flyable(hall):
+    """In 0.2 s slots at 20 m/s along x; the box at x = 8 to 12 m leaves upwards at 40 m/s."""
+    world = World.stack([hall.scene])
+    v = np.array([[20.0, 0, 0]] * 5 + [[16.0, 0, 0]])
+    x = 500.0 + np.concatenate([np.zeros((1, 3)), np.cumsum((v[1:] + v[:-1]) / 2 * 0.2, axis=0)])
+    plan = Plan(x, v, 0.2, arrives=False)
+    box = 500.0 + np.array([[[8.0, -2, -2], [12, 2, 2]]])
+    up = np.arange(48)[:, None] / 8 * [0, 0, 40.0]
+    for ahead, free in ((up, True), (0 * up, False)):
+        foresight = Foresight(20.0, 0.0, box, ahead[None], 0.0, 0.0)
+        assert is_flyable(world, plan, foresight) == free
+    assert is_flyable(world, plan)
 
 
 def test_horizon_must_hold_a_plan(free_course):
