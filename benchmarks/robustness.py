@@ -39,11 +39,11 @@ from train.reproduction.tables import summary as mean_and_interval
 # Title and unit of each kind of disturbance in the figure, and the levels that are flown.
 KINDS: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "all": ("all at once", "share of the greatest", (0.0, 0.25, 0.5, 0.75, 1.0)),
-    "wind": ("steady wind", "m/s²", (0.0, 2.0, 5.0)),
-    "gusts": ("gusts", "m/s², standard deviation", (0.0, 2.5, 4.0)),
-    "gain": ("actuator gain", "share", (0.0, 0.1, 0.25)),
-    "delay": ("actuator delay", "s", (0.0, 0.1, 0.16)),
-    "noise": ("position noise", "m, standard deviation", (0.0, 0.5, 2.0)),
+    "wind": ("steady wind", "m/s²", (0.0, 5.0)),
+    "gusts": ("gusts", "m/s², standard deviation", (0.0, 2.5)),
+    "gain": ("actuator gain", "share", (0.0, 0.25)),
+    "delay": ("actuator delay", "s", (0.0, 0.1)),
+    "noise": ("position noise", "m, standard deviation", (0.0, 0.5)),
     "mover": ("moving box", "m/s", (0.0, 2.5, 10.0, 20.0)),
 }
 GREATEST = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0)
