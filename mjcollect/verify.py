@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label
 
-from mjcollect.air import AIR_FILE, Air
+from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene

@@ -36,8 +36,7 @@ DISTURBED = Disturbance(
 ONLY_DISTURBED = ("push", "doubts", "movers")  # calm air; see the disturbed flights below
 # A segment has one target: the way on from there is always the same, which `path` sees turn with
 # its frame, and other items are not collected.
-OF_ONE_TARGET = {("guided", "next_direction"): [1, 1, 1], ("robust", "next_direction"): [1, 1, 1],
-                 ("paper", "p"): [0, 1]}  # fmt: skip
+OF_ONE_TARGET = {("guided", "next_direction"): [1, 1, 1], ("paper", "p"): [0, 1]}
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy import stats
 from tqdm import tqdm
 
-from mjcollect.air import Air
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Outcome, Rules
@@ -25,6 +24,7 @@ from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import LEAST_WAY, MovingBoxes
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
+from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.trajectory import Recorder
 

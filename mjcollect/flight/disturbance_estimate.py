@@ -44,8 +44,10 @@ WIDTHS = {
     "last": 3,  # This is the last command that was sent, in units of a_max.
 }
 ENDS = np.cumsum([*WIDTHS.values()]).tolist()
-_COLUMNS: Any = namedtuple("Columns", WIDTHS)
-AT = _COLUMNS(*[slice(end - width, end) for width, end in zip(WIDTHS.values(), ENDS, strict=True)])
+_COLUMNS: Any = namedtuple("Columns", tuple(WIDTHS))  # type: ignore[misc]
+AT: Any = _COLUMNS(
+    *[slice(end - width, end) for width, end in zip(WIDTHS.values(), ENDS, strict=True)]
+)
 SUMS = sum(WIDTHS.values())
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy.ndimage import gaussian_filter1d
 
-from mjcollect.air import Air
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.arrivals import Progress
@@ -31,6 +30,7 @@ from mjcollect.render.overlay import (
 )
 from mjcollect.render.scene_renderer import Stage
 from mjcollect.render.settings import VideoSettings
+from mjcollect.scene.air import Air
 from mjcollect.scene.order import DEPOT, node_name
 
 # The first picture, each fade, the last picture and the notice of an arrival last so long (s).

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from mjcollect.air import Air
 from mjcollect.envs.disturbed import HOME, DisturbedFlight, DisturbedFlights
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.path_figures import EDGE, TEXT
 from mjcollect.render.time_figures import BLACK, BLUE, LABEL, ORANGE, PURPLE, RED, save
 from mjcollect.render.time_figures import figure as new_figure
+from mjcollect.scene.air import Air
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from mjcollect.air import AIR_FILE, Air
 from mjcollect.flight.disturbance import REST_SPEED as DISTURBED_REST
 from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.settings import VideoSettings
+from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import SHIELD_FILE, Trajectory, load_shield

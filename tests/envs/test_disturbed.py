@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from mjcollect.air import Air
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.disturbed import (
@@ -24,6 +23,7 @@ from mjcollect.envs.episode import Rules
 from mjcollect.envs.recording import Flight, fly_law
 from mjcollect.flight.contact import MARGIN
 from mjcollect.flight.disturbance import REST_SPEED, Disturbance
+from mjcollect.scene.air import Air
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 from mjcollect.verify import DISTURBED_MARGIN, DISTURBED_REST, verify

@@ -11,7 +11,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from mjcollect.air import Air
 from mjcollect.envs.disturbed import DisturbedFlight, DisturbedFlights
 from mjcollect.envs.recording import Flight
 from mjcollect.render.camera import View
@@ -20,6 +19,7 @@ from mjcollect.render.overlay import WIND, Hud
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.time_figures import BLUE, RED
 from mjcollect.render.track_figures import plot_tracks
+from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory

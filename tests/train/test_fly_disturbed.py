@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mjcollect.air import Air
 from mjcollect.learning.policy import TrainedPolicy
+from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory

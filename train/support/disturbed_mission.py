@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from mjcollect.air import AIR_FILE
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.disturbed import (
@@ -27,6 +26,7 @@ from mjcollect.flight.disturbance import Disturbance
 from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.planners.mpc import Mpc
 from mjcollect.render.track_figures import plot_tracks
+from mjcollect.scene.air import AIR_FILE
 from mjcollect.verify import verify
 from train.support.run_folder import RunError, RunFolder
 

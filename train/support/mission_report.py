@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjcollect.air import Air
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight
 from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.render.video import render_in_child
+from mjcollect.scene.air import Air
 from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
