@@ -28,7 +28,7 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
-from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
+from mjcollect.learning.policy import DISTURBED, SHIPPED, TrainedPolicy, policy_digest, weights_file
 from mjcollect.planners.mpc import Mpc
 from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, figure
 from mjcollect.render.time_figures import save as save_figure
@@ -54,7 +54,8 @@ STYLES = {
     "law": (BLUE, "law"),
     "adaptive law": (PURPLE, "adaptive law"),
     "mpc": (ORANGE, "MPC"),
-    "policy": (GREEN, "shipped policy"),
+    "policy": (GREEN, "policy for disturbed air"),
+    "calm policy": (BLACK, "policy for calm air"),
 }
 TOLD = "told "  # This before a pilot's name says that it knows what disturbs it.
 NOT_LEARNED = ("law", "adaptive law", "mpc")
@@ -67,8 +68,8 @@ class Args:
     """Flies every pilot through every disturbance."""
 
     pilots: tuple[str, ...] = tuple(STYLES)
-    """Pilots that fly: any of these, of which `policy` is the one shipped, files of others, and
-    all of them with `told ` before."""
+    """Pilots that fly: any of these, of which the policies are the package's own, files of others,
+    and all of them with `told ` before."""
     kinds: tuple[str, ...] = tuple(KINDS)
     """Kinds of disturbance that are flown."""
     segments: int = 200
@@ -114,7 +115,7 @@ def prepare(name: str, course: Course) -> tuple[str, Pilot]:
 
 def policy_file(name: str) -> Path:
     """Returns the file of a pilot that is a policy."""
-    return SHIPPED if name == "policy" else Path(name)
+    return {"policy": DISTURBED, "calm policy": SHIPPED}.get(name, Path(name))
 
 
 def fly(
@@ -270,7 +271,7 @@ def draw(path: Path, found: Sequence[Row]) -> None:
     made = figure(12.5, 13.0)
     grid: Any = made.subplots(4, 4, gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     names = list(dict.fromkeys(row["pilot"] for row in found))
-    others = iter((BLACK, "#56B4E9", "#F0E442"))
+    others = iter(("#56B4E9", "#F0E442", "#D55E00"))
     styles = {name: STYLES.get(name) or (next(others), name) for name in names}
     for place, (kind, (title, unit, _)) in enumerate(KINDS.items()):
         success, time = grid[2 * (place // 4), place % 4], grid[2 * (place // 4) + 1, place % 4]

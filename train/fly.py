@@ -20,10 +20,11 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from mjcollect.envs.course import Course
+from mjcollect.envs.disturbed import is_disturbed
 from mjcollect.envs.recording import fly, fly_law
 from mjcollect.flight.disturbance import Disturbance
 from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.learning.policy import DISTURBED, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.plan import Planner, fly_planner
 from mjcollect.planners.reference.reference import NoFlight, Reference
@@ -63,7 +64,8 @@ class Args:
     control), reference (the whole mission planned ahead in the fewest slots), or guidance (the
     guidance law, which learns nothing)."""
     policy: Path | None = None
-    """Names the policy that flies --scene: shipped (the default), or a .safetensors or .pt file."""
+    """Names the policy that flies --scene: shipped (the default in calm air), disturbed (that in
+    disturbed air), or a .safetensors or .pt file."""
     finetune: int = 2_000
     """Trains that policy for this many updates in each segment where it fails; 0 for none."""
     order: str | None = None
@@ -111,7 +113,8 @@ def fly_mission(args: Args) -> int:
     if args.policy is not None and (args.run is not None or args.planner != "policy"):
         raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
     if args.run is None and args.planner == "policy" and args.policy is None:
-        args = replace(args, policy=SHIPPED)
+        disturbed = is_disturbed(args.disturbance) or Scene.find(args.scene or "").moving
+        args = replace(args, policy=DISTURBED if disturbed else SHIPPED)
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     shield = args.shield and args.planner in ("policy", "guidance")
     training_results: Sequence[dict[str, Any] | None]

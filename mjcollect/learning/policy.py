@@ -23,7 +23,9 @@ from mjcollect.envs.observation import OBSERVATIONS
 from mjcollect.learning.ddpg import make_actor
 from mjcollect.scene.assets import asset_path
 
-SHIPPED = Path("shipped")  # This stands for the package's own policy, wherever it is installed.
+SHIPPED = Path("shipped")  # This stands for the package's own policy, wherever it is installed,
+DISTURBED = Path("disturbed")  # and this for its policy for disturbed air.
+OWN = {SHIPPED: "generalist.safetensors", DISTURBED: "disturbed.safetensors"}
 NO_POLICY = Path("none")  # This stands for learning from nothing.
 # Reading a file that is no policy ends in one of these.
 UNREADABLE = (
@@ -112,12 +114,12 @@ class TrainedPolicy:
 
 
 def weights_file(path: Path) -> Path:
-    """Returns the file of a policy: that of the package's own for `SHIPPED`, else `path`."""
-    return asset_path("policies", "generalist.safetensors") if path == SHIPPED else path
+    """Returns the file of a policy: one of the package's own for a name in `OWN`, else `path`."""
+    return asset_path("policies", OWN[path]) if path in OWN else path
 
 
 def policy_digest(path: Path) -> str:
-    """Returns a hash of a policy's file, or of `SHIPPED`, that does not depend on its path."""
+    """Returns a hash of a policy's file, or of one in `OWN`, that does not depend on its path."""
     return hashlib.sha256(weights_file(path).read_bytes()).hexdigest()[:16]
 
 
