@@ -14,8 +14,6 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View, chase_eyes, framing
-from mjcollect.render.moving_box import draw_moving_box
-from mjcollect.render.name_tags import node_labels
 from mjcollect.render.overlay import (
     COLLECTED,
     GREY,
@@ -25,6 +23,8 @@ from mjcollect.render.overlay import (
     Colour,
     Hud,
     Overview,
+    draw_moving_box,
+    node_labels,
     pill,
     speed_colours,
 )

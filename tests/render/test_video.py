@@ -19,7 +19,7 @@ from PIL import Image
 from mjcollect.render import overlay
 from mjcollect.render.arrivals import progress
 from mjcollect.render.camera import View, chase_eyes, clear_distance, framing
-from mjcollect.render.name_tags import node_labels
+from mjcollect.render.overlay import node_labels
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.video import RenderError, render_in_child, render_run
 from mjcollect.scene.assets import asset_path
