@@ -9,7 +9,8 @@ A command's room is the share of this margin that its best backup keeps from box
 most 1. It is flown if its room is what is asked for, which is 1. If it is not, the command is bent
 towards braking, else the backup of the slot before or an escape along an axis is flown, whichever
 has most room. Where nothing but creeping is left, less and less is asked for until there is a way
-on: so the margin gives way gradually, and how much is left of it is reported.
+on: so the margin gives way gradually, and how much is left of it is reported. Before moving boxes
+and bounds, beyond which no target lies, it never gives way.
 """
 
 from __future__ import annotations
@@ -127,7 +128,11 @@ def room_row(
     world: World, w: int, margins: Margins, i: int, path: Array, times: Array, count: int,
     asked: float, least: float,
 ) -> float:  # fmt: skip
-    """Returns the room of a path of `count` points: at most 1, and any number below `least`."""
+    """Returns the room of a path of `count` points: at most 1, and any number below `least`.
+
+    What is asked for gives way before boxes that stand only: before moving boxes and bounds the
+    whole margin is.
+    """
     boxes, radius, room = world.boxes[w], world.radius[w, 0], 1.0
     spread, blur = margins.spread[i, 0] * LAG, margins.blur[i, 0]
     stopped = count - len(RESTS)  # At rest it is held where it is: the margin grows no more.
@@ -141,7 +146,7 @@ def room_row(
         margin = max(blur + spread * times[p], SAG)
         for k in range(3):
             inside = min(path[p, k] - world.bounds[w, 0, k], world.bounds[w, 1, k] - path[p, k])
-            room = min(room, share(inside + MARGIN, margin))
+            room = min(room, share(inside + MARGIN, margin) - 1.0 + asked)
         if room < least:
             return room
     for b in range(len(boxes)):
@@ -168,7 +173,6 @@ def room_row(
             gap = segment_gap(begin, end, box)
             if p == 1 and gap >= box_offset(path[0], box, offset) - 1e-9:
                 gap = box_offset(end, box, offset)
-            # Before a box that comes along the margin never gives way.
             room = min(room, share(gap - radius, margin) - 1.0 + asked)
             begin[:] = end
         if room < least:
