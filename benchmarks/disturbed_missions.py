@@ -113,7 +113,7 @@ def summary(rows: list[Row]) -> list[Row]:
                 "flights": count,
                 **{end: ends[end] / count for end in ENDS},
                 "low": home["low"],
-                "high": home["high"],
+                "high": None if home["high"] is None else min(home["high"], 1.0),
                 "time": float(np.mean(times)) if times else None,
             }
         )
