@@ -240,7 +240,7 @@ def robust(world: World, state: State) -> Parts:
         **path(world, state),
         "push": np.einsum("nj,nkj->nk", known.push / world.a_max, frame),
         "doubts": np.concatenate(doubts, axis=1),
-        "movers": turned.reshape(len(turned), -1),
+        "movers": turned.reshape(len(turned), math.prod(turned.shape[1:])),
     }
 
 
