@@ -72,7 +72,7 @@ def test_are_those_of_this_process_bit_for_bit(crew, makes):
     sharded = ShardedSimulations(crew, makes, COUNTS)
     env = BatchedFlightEnv(sharded)
     begun = env.reset()
-    whole, now = fly(env, 60, np.random.default_rng(0), begun)
+    whole, now = fly(env, 240, np.random.default_rng(0), begun)
     saved = sharded.state_dict()
     ends = sum(int((row[2] | row[3]).sum()) for row in whole)
     assert ends > 3
@@ -83,7 +83,7 @@ def test_are_those_of_this_process_bit_for_bit(crew, makes):
         own = BatchedFlightEnv(make())
         first = own.reset()
         np.testing.assert_array_equal(first["observation"], begun["observation"][rows])
-        alone = _alone(own, 60, np.random.default_rng(0), first, rows)
+        alone = _alone(own, 240, np.random.default_rng(0), first, rows)
         for one, other in zip(alone, whole, strict=True):
             for a, b in zip(one, other, strict=True):
                 np.testing.assert_array_equal(a, b[rows])
