@@ -14,7 +14,7 @@ from mjcollect.learning.evaluation import Evaluator
 from mjcollect.learning.trainer import segment_trainer
 from mjcollect.scene.scene import Scene
 from train import mission, segment
-from train.jobs.workers import learn_arguments
+from train.jobs.workers import settings_arguments
 from train.support.presets import PAPER, PRESETS, with_preset, with_slot
 from train.support.run_folder import RunError
 
@@ -105,7 +105,10 @@ def test_a_flag_that_repeats_the_default_wins_too():
 def test_the_segments_of_a_mission_learn_with_its_settings(more):
     learn = parse(mission, "--preset", "paper", *more).learn
     assert learn.shield == ("--shield" in more)
-    assert parse(segment, *learn_arguments(learn), "--preset", "paper").learn == learn
+    assert (
+        parse(segment, *settings_arguments(dataclasses.asdict(learn)), "--preset", "paper").learn
+        == learn
+    )
 
 
 @pytest.mark.parametrize("program", [segment, mission])
