@@ -26,6 +26,7 @@ import tyro
 from benchmarks.common import Row, grouped, in_processes, save, segment_course
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
+from mjcollect.envs.disturbed import ENDS
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.policy import DISTURBED, SHIPPED, TrainedPolicy, policy_digest, weights_file
@@ -47,7 +48,6 @@ KINDS: dict[str, tuple[str, str, tuple[float, ...]]] = {
     "mover": ("moving box", "m/s", (0.0, 2.5, 10.0, 20.0)),
 }
 GREATEST = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0)
-ENDS = ("home", "standing box", "moving box", "out of bounds", "too late")
 LEVEL = ("pilot", "kind", "level")
 # Colour and name in the figure of the pilots that there are without a file.
 STYLES = {

@@ -20,7 +20,7 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Outcome, Rules
 from mjcollect.envs.recording import SILENT, Flight
-from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.flight.disturbance import STRENGTHS, Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import LEAST_WAY, MovingBoxes
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
@@ -180,7 +180,7 @@ class CourseAir(Disturbances):
             document = {"size": 2 * half, "path": path[:last], "speed": movers.speed[index, b]}
             document["phase"] = movers.phase[index, b]
             moving.append(MovingBox.from_dict(document))
-        late = float(np.round(self._late[index] / world.step) * world.step)
+        late = float(self.late_steps(world)[index] * world.step)
         wind, gain = self._wind[index].copy(), float(self._gain[index, 0])
         return Air(index, wind, gain, late, tuple(moving), float(world.slot), push)
 
@@ -263,9 +263,7 @@ def fly_batch(
 
 def is_disturbed(level: Disturbance) -> bool:
     """Returns whether a level disturbs at all."""
-    return any(
-        getattr(level, kind) > 0.0 for kind in ("wind", "gusts", "gain", "delay", "noise", "mover")
-    )
+    return any(getattr(level, kind) > 0.0 for kind in STRENGTHS)
 
 
 class _Track:

@@ -106,6 +106,7 @@ class Episodes:
     Attributes:
         truth, observed: (N, 3) true positions, and positions as measured if disturbed (m).
         v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
+        seen_world: the world as decisions see it, with the a_max to count on and moving boxes last.
         known: what is known of disturbances. sums: what it is made of, if it is of the flight.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
         held, left, asked: (N, 3), (N,), (N,) the shield's state. room: (N,) share of its margin
@@ -157,19 +158,6 @@ class Episodes:
         """Returns the velocities (N, 3) in m/s from which decisions are made."""
         return self.v if self.disturbances is None else self._seen_v
 
-    @property
-    def seen_world(self) -> World:
-        """Returns the world as decisions see it, with the a_max to count on and moving boxes."""
-        return self._seen_world
-
-    @property
-    def boxes(self) -> Array:
-        """Returns the boxes (N, M, 2, 3) in m as decisions see them, the moving ones last.
-
-        N is 1 where all episodes share one world.
-        """
-        return self._seen_world.boxes
-
     def course(self, index: int) -> Course:
         """Returns the course of episode `index`."""
         return self.targets.course(index)
@@ -207,7 +195,7 @@ class Episodes:
         if self._framed:
             action = np.where(np.isfinite(action), action, 0.0)
             action = np.einsum("nk,nkj->nj", action, self.approach.frame)
-        world, q, v = self._seen_world, self.q, self.seen_v
+        world, q, v = self.seen_world, self.q, self.seen_v
         a, self._stop = command(world, q, v, action, goal, tolerance)
         if self._estimates:
             known, a_max = self.known, self.world.a_max
@@ -290,8 +278,8 @@ class Episodes:
             self.asked, self._movers,
         )  # fmt: skip
         if which is None:
-            return self._observation(self._seen_world, state)
-        return self._observation(self._seen_world.rows(which), state.rows(which))
+            return self._observation(self.seen_world, state)
+        return self._observation(self.seen_world.rows(which), state.rows(which))
 
     @property
     def next_cost(self) -> Array:
@@ -300,14 +288,14 @@ class Episodes:
 
     def guidance_action(self) -> Array:
         """Returns the actions (N, 3) of the guidance law of `guidance.law` in units of a_max."""
-        law = self.targets.law(self._seen_world, self.target, self.q, self.seen_v)
+        law = self.targets.law(self.seen_world, self.target, self.q, self.seen_v)
         if self._framed:
             law = np.einsum("nj,nkj->nk", law, self.approach.frame)
         return law
 
     def _update_estimates(self) -> None:
         """Updates what is known of disturbances, and so the state and world as decisions see it."""
-        self._seen_world = self.world
+        self.seen_world = self.world
         if self.disturbances is None:
             return
         self._seen_q, self._seen_v = self.observed, self.v
@@ -322,12 +310,12 @@ class Episodes:
                 self.world, self.sums, self.known, self.sums[:, air.AT.position], self.v
             )
             a_max = self.known.usable(self.world.a_max)
-            self._seen_world = self._seen_world._replace(a_max=a_max)
+            self.seen_world = self.seen_world._replace(a_max=a_max)
         movers = self.disturbances.movers
         if self.disturbances.level.mover > 0.0:
             movers.told = self.rules.estimate == "truth"
             boxes = np.concatenate([self.world.boxes, movers.boxes], axis=1)
-            self._seen_world = self._seen_world._replace(boxes=boxes)
+            self.seen_world = self.seen_world._replace(boxes=boxes)
             self._movers = movers.seen(self.q, self.seen_v, self.world.v_max)
 
     def _approach(self) -> Approach:
@@ -339,5 +327,5 @@ class Episodes:
     def _update_approach(self, approach: Approach, which: Indices) -> None:
         """Writes the rows `which` (n,) of an approach."""
         self.targets.update_approach(
-            self._seen_world, self.target, self.q, self.seen_v, which, approach
+            self.seen_world, self.target, self.q, self.seen_v, which, approach
         )

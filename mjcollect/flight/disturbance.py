@@ -21,6 +21,7 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools
 
 REST_SPEED = 2.0  # m/s; a disturbed body that is slower within the tolerance has come to rest
+STRENGTHS = ("wind", "gusts", "gain", "delay", "noise", "mover")  # fields of `Disturbance`
 SPARED = 0.3  # chance with which varied disturbances are without a kind
 
 
@@ -61,8 +62,7 @@ class Disturbance:
 
     def times(self, share: float) -> Disturbance:
         """Returns the same kinds of disturbance at a share of their strength."""
-        strong = ("wind", "gusts", "gain", "delay", "noise", "mover")
-        return replace(self, **{name: share * getattr(self, name) for name in strong})
+        return replace(self, **{name: share * getattr(self, name) for name in STRENGTHS})
 
 
 class Disturbances:
@@ -121,10 +121,14 @@ class Disturbances:
         return Estimate(
             gain=self._gain - 1.0,
             push=self._wind + math.sqrt(fading) * self._gusts,
-            late=np.round(self._late[:, None] / world.step) * world.step,
+            late=self.late_steps(world)[:, None] * world.step,
             spread=self._strength * math.sqrt(1.0 - fading**2),
             blur=np.zeros((self.count, 1)),
         )
+
+    def late_steps(self, world: World) -> Array:
+        """Returns the whole physics steps (N,) by which commands come late."""
+        return np.round(self._late / world.step)
 
     def controls(self, world: World, command: Array) -> Array:
         """Returns accelerations (N, n, 3) in m/s^2 of a slot's physics steps for commands (N, 3).
@@ -134,7 +138,7 @@ class Disturbances:
         n = world.substeps
         size = np.linalg.norm(command, axis=1, keepdims=True)
         command = command * np.minimum(1.0, world.a_max / np.maximum(size, 1e-12))
-        late = np.minimum(np.round(self._late / world.step), n)[:, None, None]
+        late = np.minimum(self.late_steps(world), n)[:, None, None]
         old = np.arange(n)[:, None] < late
         flown = np.where(old, self._before[:, None], command[:, None]) * self._gain[:, None]
         kept = math.exp(-world.step / GUST_SECONDS)

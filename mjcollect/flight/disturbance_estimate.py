@@ -117,7 +117,7 @@ def gather(
     a_max, slot = world.a_max, world.slot
     now, flown, last = command / a_max, (after - v) / slot / a_max, sums[:, AT.last].copy()
     known = estimate(world, sums)
-    missed = flown - _model(sums, now, last) - known.push / a_max
+    missed = flown - _model(_shares(sums), now, last) - known.push / a_max
     _carry(world, sums, known, v, flown * a_max, command, measured)
     sums[:, AT.errors] *= SPREAD_KEPT
     sums[:, AT.errors] += np.stack([np.ones(len(v)), np.mean(missed**2, axis=1)], axis=1)
@@ -128,7 +128,8 @@ def gather(
     sums[:, AT.products] += np.stack([np.sum(a * b, axis=1) for a, b in pairs], axis=1)
     for name, value in (("command", now), ("before", last), ("acceleration", flown)):
         sums[:, getattr(AT, name)] += value
-    sums[:, AT.left] = flown - _model(sums, now, last) - _steady(sums)
+    shares = _shares(sums)
+    sums[:, AT.left] = flown - _model(shares, now, last) - _steady(sums, shares)
     sums[:, AT.last] = now
 
 
@@ -139,7 +140,7 @@ def estimate(world: World, sums: Array) -> Estimate:
     gain = np.clip(whole - 1.0, -MOST, MOST)
     late = np.clip(shares[:, 1:] / np.maximum(whole, 1e-3), 0.0, 1.0) * world.slot
     fading = math.exp(-world.slot / GUST_SECONDS)
-    push = (_steady(sums) + fading * sums[:, AT.left]) * world.a_max
+    push = (_steady(sums, shares) + fading * sums[:, AT.left]) * world.a_max
     slots, squares = sums[:, AT.errors].T[:, :, None]
     spread = np.sqrt(squares / np.maximum(slots, 1.0)) * world.a_max
     count, errors = sums[:, AT.measured].T[:, :, None]
@@ -173,15 +174,14 @@ def _shares(sums: Array) -> Array:
     )
 
 
-def _model(sums: Array, now: Array, last: Array) -> Array:
-    """Returns what the shares make of a command (N, 3) and the one before it."""
-    shares = _shares(sums)
+def _model(shares: Array, now: Array, last: Array) -> Array:
+    """Returns what the shares (N, 2) make of a command (N, 3) and the one before it."""
     return np.asarray(shares[:, :1] * now + shares[:, 1:] * last)
 
 
-def _steady(sums: Array) -> Array:
+def _steady(sums: Array, shares: Array) -> Array:
     """Returns the steady push (N, 3) in units of a_max."""
-    mean = _model(sums, sums[:, AT.command], sums[:, AT.before])
+    mean = _model(shares, sums[:, AT.command], sums[:, AT.before])
     return np.asarray((sums[:, AT.acceleration] - mean) / np.maximum(sums[:, AT.slots], 1.0))
 
 

@@ -212,7 +212,7 @@ def disturbed_row(
         return slots, best, False
     braking, tried, raw, chosen = np.empty(3), np.empty(3), np.empty(3), a.copy()
     braking_row(world, w, v, braking)
-    kept = 0
+    changed = False
     for n in range(len(BENT) + 8):
         if n < len(BENT):
             for k in range(3):
@@ -232,11 +232,10 @@ def disturbed_row(
             project_row(world, w, v, raw, tried)
         room, more = best_backup(world, w, margins, i, q, v, tried, asked, best, path, times)
         if room > best:
-            best, slots, kept = room, more, n + 1
+            best, slots, changed = room, more, True
             chosen[:] = tried
         if best >= asked:
             break
-    changed = kept > 0
     a[:] = chosen
     held[:] = chosen
     return slots, best, changed

@@ -88,11 +88,7 @@ class MovingBoxes:
     @property
     def boxes(self) -> Array:
         """Returns the boxes (N, B, 2, 3) at the slot's start, `EMPTY_BOX` where there is none."""
-        return self.boxes_at(0.0)
-
-    def boxes_at(self, seconds: float) -> Array:
-        """Returns the boxes `seconds` after the slot's start, as `boxes` does."""
-        centre = self.centres(seconds)
+        centre = self.centres()
         there = self.speed[:, :, None, None] > 0.0
         both = np.stack([centre - self.half, centre + self.half], axis=2)
         return np.asarray(np.where(there, both, FAR))

@@ -10,6 +10,7 @@ import numpy as np
 
 from mjcollect.envs.episode import Episodes
 from mjcollect.flight.contact import MARGIN, contacts
+from mjcollect.flight.disturbed_shield import BLURRED, LAG
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import segment_clear
@@ -17,8 +18,6 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
 CAUTION = 1.5  # A margin is so many times the distance by which the body is believed to be astray.
-BLURRED = 2.0  # The position is off by so many times its standard deviation.
-LAG = 0.8  # s; a gust is answered so late that it moves the body by spread * LAG * time.
 MOST = 3.0  # No margin is greater (m): the way to a target may lead close by a box.
 BESIDE = 2.0  # The way round a moving box keeps this distance (m) on top of the margin,
 SOON = 1.0  # round the place where the box is so many seconds after a plan's end.
