@@ -353,10 +353,12 @@ def test_documented_example_is_valid():
     page = Path(__file__).parents[2] / "docs" / "scene-format.md"
     blocks = re.findall(r"```json\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     scene = Scene.from_json(blocks[0])
-    shown = json.loads(blocks[1])
+    moving = Scene.from_json(json.dumps(json.loads(blocks[0]) | json.loads(f"{{{blocks[1]}}}")))
+    assert len(moving.moving) == 1
+    shown = json.loads(blocks[2])
     row = segments_table(scene, shown["order"])[0]
     assert shown["segments"] == [row | {"distance": pytest.approx(row["distance"], abs=0.005)}]
-    for key in scene.to_dict():
+    for key in moving.to_dict():
         assert f"| `{key}` |" in page.read_text(encoding="utf-8")
 
 
