@@ -305,6 +305,8 @@ class Mpc:
         here = _along(path, q)
         joins = here + np.arange(0.0, JOIN, GRAIN)
         tried = np.unique(np.concatenate([joins[joins < corners[-1]], corners[corners > here]]))
+        if len(tried) == 0:  # It is beside the very end, out of its sight.
+            return np.stack([q, path[-1]])
         points = point_along(path, tried)
         in_sight = np.flatnonzero(segment_clear(q, points, scene.obstacles, scene.uav_radius))
         entry = int(in_sight[-1]) if len(in_sight) else 0

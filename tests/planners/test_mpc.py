@@ -281,6 +281,22 @@ def test_a_path_through_the_place_that_a_box_left_is_flyable(hall):
     assert is_flyable(world, plan)
 
 
+def test_beside_the_very_end_but_out_of_its_sight_it_still_plans():
+    """No point of the path is ahead there; a gust or a pilot of less skill leads to such places."""
+    thin = [[296.0, 20.0, 20.0], [298.0, 40.0, 40.0]]
+    hidden = Scene(
+        name="hidden",
+        seed=0,
+        bounds=[[0, 0, 0], [400, 60, 60]],
+        depot=[10, 30, 30],
+        items=[[292, 30, 30]],
+        obstacles=[thin],
+    )
+    planner = Mpc(Course.mission(hidden, (0,)))
+    plan = planner.plan(np.array([302.0, 30.0, 30.0]), np.zeros(3), 0)
+    assert plan is None or plan.slots > 1
+
+
 def test_horizon_must_hold_a_plan(free_course):
     with pytest.raises(ValueError, match="horizon"):
         Mpc(free_course, horizon=1)
