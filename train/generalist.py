@@ -11,6 +11,7 @@ cluster; with a GPU, `--device cuda` learns there.
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import torch
 import tyro
 
 from mjcollect.envs.batch import Fleet, Simulations
@@ -28,15 +28,18 @@ from mjcollect.envs.observation import SHOW_DISTURBANCES
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
+from mjcollect.learning.lessons import Lessons
 from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest, weights_file
-from mjcollect.learning.random_streams import stream
+from mjcollect.learning.random_streams import stream, torch_seed
 from mjcollect.learning.trainer import Trainer, make_simulations
+from train.jobs.lessons import School, give_lessons, load_lessons
 from train.jobs.segment_pool import build_all, draw_segment
 from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
 from train.jobs.workers import connect_ray
 from train.support.arguments import check_device, check_least
 from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
-from train.support.run_folder import RunError, RunFolder, default_folder, finite, versions
+from train.support.generalist_report import finish, report
+from train.support.run_folder import RunError, RunFolder, default_folder
 from train.support.training_loop import learn_to_the_end
 
 HELD_OUT = 1_000_000  # Segments are never trained on from this number on.
@@ -50,6 +53,7 @@ LEARN = LearnConfig(
 DISTURBANCE = Disturbance(
     wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=20.0, boxes=2, turned=45.0
 )
+POOL, LESSONS = "pool", "lessons"  # folders in the run's
 HARDER = 4.0  # A segment that always fails is drawn this many times more often than one that never.
 FADED = 0.5  # What was seen of a segment weighs this share when it has been flown again.
 
@@ -81,6 +85,11 @@ class Args:
     """Sets the number of segments flown side by side, each in several simulations."""
     rotate: int = 2_000
     """Changes the segments that are flown every this many updates."""
+    lessons: int = 0
+    """First has the MPC say in this many slots what it would do, in flights of its own and of
+    --policy; the actor learns from that beside its critic."""
+    imitation: float = 1.0
+    """Weights the mean square distance to the MPC's actions against the critic's value."""
     disturbed: float = 0.0
     """Disturbs this share of the simulations, and the evaluation if it is above 0; that needs the
     observation robust."""
@@ -99,20 +108,23 @@ class Args:
 class Generalist:
     """Holds a trainer whose simulations change their segments; `state_dict()` is its state."""
 
-    def __init__(self, args: Args, numbers: tuple[list[int], list[int]], pool: Path) -> None:
+    def __init__(self, args: Args, numbers: tuple[list[int], list[int]], folder: Path) -> None:
         """Starts the shards, the simulations and the trainer.
 
         Args:
             numbers: numbers of the pool's segments to train on, and of those held out.
-            pool: folder of their guidance.
+            folder: absolute, with the pool's guidance and with lessons if they are asked for.
+
+        Raises:
+            RunError: the policy to start from takes more numbers than there are.
         """
-        self.args, self._pool = args, pool
+        self.args, self._pool = args, folder / POOL
         self._numbers, held_out = numbers
         self._crew: Crew | None = None
         if args.shards > 0:
             self._crew = LocalCrew(args.shards) if args.ray is None else RayCrew(args.shards)
         config, seed = args.learn, args.seed
-        courses = [Course.segment(*draw_segment(seed, number), pool) for number in held_out]
+        courses = [Course.segment(*draw_segment(seed, number), self._pool) for number in held_out]
         disturbances = None
         if args.disturbed > 0.0:  # Starts are calm at the point itself, disturbed in its ball.
             calm = np.tile(np.arange(config.eval_episodes) == 0, len(courses))
@@ -122,8 +134,20 @@ class Generalist:
         self.rotation, self.failed = 0, np.zeros(len(self._numbers))
         simulations, weights = self._simulations(), None
         if args.policy != NO_POLICY:
-            weights = widened(TrainedPolicy.load(weights_file(args.policy)), simulations)
-        self.trainer = Trainer(simulations, evaluator, config, seed, args.device, weights)
+            policy = TrainedPolicy.load(weights_file(args.policy))
+            try:
+                weights = policy.widened(simulations.observe().shape[1])
+            except ValueError as error:
+                raise RunError(f"--{error}") from None
+        lessons = None
+        if args.lessons > 0:
+            columns = load_lessons(folder / LESSONS, args.lessons)
+            seen, actions = (column.to(args.device) for column in columns)
+            lessons = Lessons(
+                seen, actions, weight=args.imitation, batch=config.batch,
+                seed=torch_seed(seed, "lessons"),
+            )  # fmt: skip
+        self.trainer = Trainer(simulations, evaluator, config, seed, args.device, weights, lessons)
 
     def _simulations(self) -> Fleet:
         """Returns simulations on this rotation's segments, more of those that fail."""
@@ -198,22 +222,6 @@ def drawn(
     return rng.choice(numbers, count, replace=False, p=chance)
 
 
-def widened(policy: TrainedPolicy, simulations: Fleet) -> dict[str, torch.Tensor]:
-    """Returns the weights of a policy whose observation is the first part of these simulations'.
-
-    What it does not know has no influence at first.
-
-    Raises:
-        RunError: the observation has fewer numbers than the policy takes.
-    """
-    weights, size = policy.actor.state_dict(), simulations.observe().shape[1]
-    if policy.inputs > size:
-        raise RunError(f"--policy: takes {policy.inputs} numbers; --observation has {size}")
-    name = next(iter(weights))  # the first layer's weights
-    unknown = torch.zeros(len(weights[name]), size - policy.inputs)
-    return {**weights, name: torch.cat([weights[name], unknown], dim=1)}
-
-
 def simulations(
     args: Args, numbers: np.ndarray, pool: Path, rotation: int, part: int = 0
 ) -> Simulations:
@@ -255,25 +263,25 @@ def train_generalist(args: Args) -> int:
     folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("generalist.json") is not None:
-        return _report(folder)
+        return report(folder)
     if args.ray is not None:
         connect_ray(args.ray, cpus=args.shards)
     folder.create(config, None, overwrite=args.overwrite)
     try:
         numbers = _build(folder, args)
-        if numbers is None:
+        if numbers is None or not _give_lessons(folder, args, numbers[0]):
             say("stopped; go on with --resume")
             return INTERRUPTED
-        generalist = Generalist(args, numbers, (folder.path / "pool").resolve())
+        generalist = Generalist(args, numbers, folder.path.resolve())
         try:
             if not _learn(generalist, folder, args):
                 return INTERRUPTED
-            _finish(generalist.trainer, folder, numbers)
+            finish(generalist.trainer, folder, numbers)
         finally:
             generalist.close()
     finally:
         folder.unlock()
-    return _report(folder)
+    return report(folder)
 
 
 def _check(args: Args) -> None:
@@ -284,8 +292,11 @@ def _check(args: Args) -> None:
     """
     check_device(args.device)
     check_least(
-        args, seed=0, workers=1, segments=1, held_out=1, courses=1, rotate=1, checkpoint_every=1
-    )
+        args, seed=0, workers=1, segments=1, held_out=1, courses=1, rotate=1, checkpoint_every=1,
+        lessons=0,
+    )  # fmt: skip
+    if not 0.0 <= args.imitation < math.inf:
+        raise RunError(f"--imitation: {args.imitation}: must be a number from 0 on")
     if not 0.0 <= args.disturbed <= 1.0:
         raise RunError(f"--disturbed: {args.disturbed}: must lie between 0 and 1")
     if not 0 <= args.shards <= args.learn.envs:
@@ -311,7 +322,7 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
     missing = [number for number in wanted if str(number) not in built]
     with stop_on_ctrl_c() as stopped, progress_bar(len(wanted), "segment") as bar:
         bar.update(len(wanted) - len(missing))
-        for number, ok in build_all(args.seed, missing, folder.path / "pool", args.workers):
+        for number, ok in build_all(args.seed, missing, folder.path / POOL, args.workers):
             built[str(number)] = ok
             bar.update()
             if stopped():
@@ -325,6 +336,23 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
         if not left:
             raise RunError(f"--{field}: the guidance finds no way in any of them; ask for more")
     return train, held_out
+
+
+def _give_lessons(folder: RunFolder, args: Args, numbers: Sequence[int]) -> bool:
+    """Has the MPC give the lessons; returns False if Ctrl-C stopped it."""
+    school = School(
+        args.seed, tuple(numbers), (folder.path / POOL).resolve(), args.learn.rules,
+        args.disturbed, args.disturbance,
+        None if args.policy == NO_POLICY else weights_file(args.policy).resolve(),
+    )  # fmt: skip
+    given, where = 0, folder.path / LESSONS
+    with stop_on_ctrl_c() as stopped, progress_bar(args.lessons, "lesson") as bar:
+        for size in give_lessons(school, where, args.lessons, args.workers):
+            bar.update(min(size, args.lessons - given))
+            given = min(given + size, args.lessons)
+            if stopped():
+                break
+    return given >= args.lessons
 
 
 def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
@@ -341,49 +369,6 @@ def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
         checkpoint_every=args.checkpoint_every,
         after_round=generalist.rotate,
     )
-
-
-def _finish(trainer: Trainer, folder: RunFolder, numbers: tuple[list[int], list[int]]) -> None:
-    """Saves the best policy, the curves, and last generalist.json."""
-    from mjcollect.render.time_figures import plot_learning
-
-    assert trainer.best is not None
-    assert trainer.best_policy is not None
-    trainer.learner.actor.load_state_dict(trainer.best_policy)
-    folder.write("policy.safetensors", trainer.policy.save)
-    folder.write("learning.png", lambda part: plot_learning(part, trainer.rows))
-    folder.write_json(
-        "generalist.json",
-        {
-            "held_out": {k: finite(v) for k, v in dataclasses.asdict(trainer.best).items()},
-            "law": {k: finite(v) for k, v in dataclasses.asdict(trainer.evaluator.law()).items()},
-            "best_update": trainer.best_update,
-            "updates": trainer.learner.updates,
-            "env_steps": trainer.env_steps,
-            "train_seconds": trainer.seconds,
-            "segments": len(numbers[0]),
-            "held_out_segments": len(numbers[1]),
-            "seed": trainer.seed,
-            "versions": versions(),
-        },
-    )  # fmt: skip
-
-
-def _report(folder: RunFolder) -> int:
-    """Prints the result; returns 0."""
-    result = folder.read_json("generalist.json")
-    assert result is not None
-    best, law = result["held_out"], result["law"]
-    print(
-        f"held out: arrives from {best['success_rate']:.1%} of the starts (law "
-        f"{law['success_rate']:.1%}), calm {best['point_rate']:.1%} in "
-        f"{_seconds(best['point_time'])} (law {_seconds(law['point_time'])}): {folder.path}"
-    )
-    return 0
-
-
-def _seconds(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f} s"
 
 
 if __name__ == "__main__":

@@ -288,10 +288,13 @@ class Episodes:
 
     def guidance_action(self) -> Array:
         """Returns the actions (N, 3) of the guidance law of `guidance.law` in units of a_max."""
-        law = self.targets.law(self.seen_world, self.target, self.q, self.seen_v)
+        return self.raw(self.targets.law(self.seen_world, self.target, self.q, self.seen_v))
+
+    def raw(self, action: Array) -> Array:
+        """Returns actions (N, 3) in world axes as the raw actions that `begin_slot` takes."""
         if self._framed:
-            law = np.einsum("nj,nkj->nk", law, self.approach.frame)
-        return law
+            action = np.einsum("nj,nkj->nk", action, self.approach.frame)
+        return action
 
     def _update_estimates(self) -> None:
         """Updates what is known of disturbances, and so the state and world as decisions see it."""

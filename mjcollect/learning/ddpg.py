@@ -9,7 +9,7 @@ evaluation, checkpoints and an early stop, and `fast_ddpg` makes the same update
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -20,6 +20,8 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import EnvBase
 from torchrl.modules import MLP, TanhModule, ValueOperator
 from torchrl.objectives import DDPGLoss, SoftUpdate, ValueEstimators
+
+from mjcollect.learning.lessons import Lessons
 
 # A transition {S, A, R, S', D'} is stored under these keys.
 KEYS = (
@@ -117,7 +119,7 @@ class BaseLearner:
     Attributes:
         actor, critic: the networks. averaged: Polyak average of the actors, for evaluation.
         gamma, alpha_target, average_rate: as given. kind: of the optimiser.
-        updates: number of updates made so far.
+        updates: number of updates made so far. lessons: those of a teacher, if there is one.
     """
 
     def __init__(
@@ -155,6 +157,7 @@ class BaseLearner:
         self._rates = (alpha_critic, alpha_actor)
         self._final_rate, self._total = final_rate, total_updates
         self.updates = 0
+        self.lessons: Lessons | None = None
 
     @property
     def rates(self) -> tuple[float, float]:
@@ -163,8 +166,14 @@ class BaseLearner:
         factor = 1.0 + (self._final_rate - 1.0) * share
         return self._rates[0] * factor, self._rates[1] * factor * (self.updates >= self._delay)
 
-    def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
+    def update(
+        self, batch: TensorDictBase, lesson: Sequence[torch.Tensor] = ()
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss.
+
+        Args:
+            lesson: observations (n, D) and the teacher's actions (n, 3), if there is one.
+        """
         raise NotImplementedError
 
     def learn(self, buffer: TensorDictReplayBuffer, count: int) -> torch.Tensor:
@@ -173,7 +182,12 @@ class BaseLearner:
         The batches are those that `count` calls of `buffer.sample()` would draw.
         """
         batch = sample(buffer, count).to(self.device)
-        losses = [self.update(part) for part in batch.split(len(batch) // count)]
+        parts = batch.split(len(batch) // count)
+        lessons: list[Sequence[torch.Tensor]] = [()] * count
+        if self.lessons is not None:
+            columns = self.lessons.sample(count)
+            lessons = list(zip(*(column.chunk(count) for column in columns), strict=True))
+        losses = [self.update(*pair) for pair in zip(parts, lessons, strict=True)]
         return torch.stack([torch.stack(pair) for pair in losses])
 
     def state_dict(self) -> dict[str, Any]:
@@ -201,8 +215,10 @@ class Learner(BaseLearner):
             self.kind, self.loss.value_network_params.flatten_keys().values()
         )
 
-    def update(self, batch: TensorDictBase) -> tuple[torch.Tensor, torch.Tensor]:
-        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
+    def update(
+        self, batch: TensorDictBase, lesson: Sequence[torch.Tensor] = ()
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Makes the update that `BaseLearner.update` describes."""
         losses = self.loss(batch)
         optimizers = (self.critic_optimizer, self.actor_optimizer)
         for optimizer, rate in zip(optimizers, self.rates, strict=True):
@@ -212,6 +228,10 @@ class Learner(BaseLearner):
         # autograd does not notice that a step changed the critic's weights under the detached copy.
         losses["loss_value"].backward()
         losses["loss_actor"].backward()
+        if lesson:  # This adds to the actor's gradient.
+            assert self.lessons is not None
+            miss = self.actor(observation=lesson[0])[-1] - lesson[1]
+            (self.lessons.weight * miss.square().sum(dim=1).mean()).backward()
         for optimizer in optimizers:
             optimizer.step()
         self.targets.step()

@@ -9,6 +9,7 @@ and `make_critic`: hidden layers of Linear, LayerNorm, ReLU, then a Linear.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -125,13 +126,15 @@ class LeanLearner(BaseLearner):
             groups.append({"params": [parameter]})
         self.optimizer = make_optimizer(self.kind, groups)
 
-    def update(self, batch: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Updates critic, actor and targets on a batch; returns the critic's and actor's loss."""
-        return self._update(*self._columns(batch))
+    def update(self, batch: TensorDictBase, lesson: Sequence[Tensor] = ()) -> tuple[Tensor, Tensor]:
+        """Makes the update that `BaseLearner.update` describes."""
+        return self._update(*self._columns(batch), *lesson)
 
     def learn(self, buffer: TensorDictReplayBuffer, count: int) -> Tensor:
         """Makes `count` updates; returns the losses (count, 2) of critic and actor."""
         columns = self._columns(sample(buffer, count).to(self.device))
+        if self.lessons is not None:
+            columns += self.lessons.sample(count)
         batches = zip(*(column.chunk(count) for column in columns), strict=True)
         return torch.stack([torch.stack(self._update(*batch)) for batch in batches])
 
@@ -163,15 +166,15 @@ class LeanLearner(BaseLearner):
         return losses
 
     def _gradient(
-        self, s: Tensor, a: Tensor, r: Tensor, s_next: Tensor, discount: Tensor
+        self, s: Tensor, a: Tensor, r: Tensor, s_next: Tensor, discount: Tensor, *lesson: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Writes both gradients, at the same parameters; returns the two losses."""
+        """Writes both gradients, at the same parameters; returns the two losses of DDPG."""
         n = len(s)
         a_next = forward(self._target_actor, s_next)[0].tanh_()
         q_next = forward(self._target_critic, torch.cat([s_next, a_next], 1))[0]
         u = torch.addcmul(r, discount, q_next)
-        action, actor_records = forward(self._actor, s)
-        action.tanh_()
+        actions, actor_records = forward(self._actor, torch.cat([s, lesson[0]]) if lesson else s)
+        action = actions.tanh_()[:n]
         # One critic pass gives both losses: q(S, A) in the first n rows, q(S, pi(S)) below.
         both = torch.cat([torch.cat([s, a], 1), torch.cat([s, action], 1)])
         q, critic_records = forward(self._critic, both)
@@ -179,8 +182,12 @@ class LeanLearner(BaseLearner):
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        d = d_action * (1 - action * action)  # The factor is the derivative of tanh.
-        backward(self._actor, self._gradients[1], actor_records, d, n)
+        if lesson:
+            assert self.lessons is not None
+            miss = actions[n:] - lesson[1]
+            d_action = torch.cat([d_action, miss * (2 * self.lessons.weight / len(miss))])
+        d = d_action * (1 - actions * actions)  # The factor is the derivative of tanh.
+        backward(self._actor, self._gradients[1], actor_records, d, len(d))
         return error.square().mean(), -q[n:].mean()
 
     def state_dict(self) -> dict[str, Any]:

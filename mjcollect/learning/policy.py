@@ -72,6 +72,21 @@ class TrainedPolicy:
         """Returns the width of the hidden layers."""
         return len(next(self.actor.parameters()))
 
+    def widened(self, size: int) -> dict[str, torch.Tensor]:
+        """Returns weights for an observation of `size` numbers, of which it knows the first ones.
+
+        What it does not know has no influence at first.
+
+        Raises:
+            ValueError: the observation has fewer numbers than the policy takes.
+        """
+        if self.inputs > size:
+            raise ValueError(f"policy: takes {self.inputs} numbers; the observation has {size}")
+        weights = self.actor.state_dict()
+        name = next(iter(weights))  # the first layer's weights
+        unknown = torch.zeros(self.width, size - self.inputs)
+        return {**weights, name: torch.cat([weights[name], unknown], dim=1)}
+
     def save(self, path: Path) -> None:
         """Writes a .pt file, or a .safetensors file, which is loaded without unpickling.
 

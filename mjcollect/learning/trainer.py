@@ -19,6 +19,7 @@ from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.ddpg import make_buffer, perturbed, transitions
 from mjcollect.learning.evaluation import Evaluation, Evaluator
 from mjcollect.learning.fast_ddpg import LEARNERS
+from mjcollect.learning.lessons import Lessons
 from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.learning.random_streams import stream, torch_seed
 
@@ -44,12 +45,14 @@ class Trainer:
         seed: int,
         device: str = "cpu",
         weights: Mapping[str, torch.Tensor] | None = None,
+        lessons: Lessons | None = None,
     ) -> None:
         """Builds the networks and the random streams of `seed`.
 
         Args:
             simulations: `config.envs` simulations to learn in. evaluator: flies the policies.
             device: device of the networks. weights: state of an actor to start from, if any.
+            lessons: of a teacher, on that device, if there is one.
         """
         self.config, self.seed, self.device = config, seed, device
         self.evaluator = evaluator
@@ -71,6 +74,7 @@ class Trainer:
             device=device,
             weights=weights,
         )
+        self.learner.lessons = lessons
         self._starts_from_policy = weights is not None
         self.buffer = make_buffer(config.buffer, config.batch, torch_seed(seed, "replay"))
         self.noise = torch.Generator().manual_seed(torch_seed(seed, "noise"))
@@ -228,6 +232,7 @@ class Trainer:
             "env_steps": self.env_steps,
             "episodes": self.episodes,
             "noise": self.noise.get_state(),
+            "lessons": None if self.learner.lessons is None else self.learner.lessons.state_dict(),
             "simulations": self.env.simulations.state_dict(),
             "now": self._now.to_dict(),
             "returns": self._returns.clone(),
@@ -249,6 +254,8 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         self.env_steps, self.episodes = state["env_steps"], state["episodes"]
         self.noise.set_state(state["noise"])
+        if self.learner.lessons is not None:
+            self.learner.lessons.load_state_dict(state["lessons"])
         self.env.simulations.load_state_dict(state["simulations"])
         self._now = TensorDict(state["now"], batch_size=self.env.batch_size, device=self.device)
         self._returns = state["returns"].clone()

@@ -116,17 +116,24 @@ class Mpc:
         self._program.scene, self._program.foresight = self._scene, foresight
 
     def action(self, episodes: Episodes) -> Array:
-        """Returns the action (3,) in units of the a_max to count on, of norm <= 1, for one episode.
+        """Returns the raw action (3,) for one episode: as planned, or the guidance law's.
 
         In disturbed air it looks first, and its commands are countered as any pilot's.
         """
+        planned = self.planned_action(episodes)
+        if planned is not None:
+            return planned
+        self.counts["law"] += 1
+        return np.asarray(episodes.guidance_action()[0])
+
+    def planned_action(self, episodes: Episodes) -> Array | None:
+        """Returns the raw action (3,) of the plan for one episode, or None where there is none."""
         self.look(episodes)
         q, v, target = episodes.q[0], episodes.seen_v[0], int(episodes.target[0])
         plan = self.plan(q, v, target)
         if plan is None:
-            self.counts["law"] += 1
-            return np.asarray(episodes.guidance_action()[0])
-        return np.asarray(plan.a[0] / self._scene.a_max)
+            return None
+        return np.asarray(episodes.raw(plan.a[:1] / self._scene.a_max)[0])
 
     def plan(self, q: Array, v: Array, target: int) -> Plan | None:
         """Returns the plan from a state to target number `target` of the course, or None.

@@ -7,6 +7,7 @@ from tensordict import TensorDict
 
 from mjcollect.learning.ddpg import make_buffer, sample
 from mjcollect.learning.fast_ddpg import LEARNERS
+from mjcollect.learning.lessons import Lessons
 from mjcollect.learning.norm_relu import norm_relu_backward, torch_backward
 
 SETTINGS = {
@@ -60,10 +61,18 @@ def close(one, other, tolerance):
     torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance)
 
 
-def check_lean_is_torchrl(size, n, tolerance, steps, **changes):
+def lessons(size, weight, seed=3):
+    rng = torch.Generator().manual_seed(seed)
+    seen, actions = torch.randn(50, size, generator=rng), torch.rand(50, 3, generator=rng) - 0.5
+    return Lessons(seen, actions, weight=weight, batch=7, seed=seed)
+
+
+def check_lean_is_torchrl(size, n, tolerance, steps, taught=False, **changes):
     """Losses, gradients, parameters, targets and averages of both over several updates."""
     lean, plain = make("lean", size, **changes), make("torchrl", size, **changes)
-    loss = plain.loss
+    loss, lesson = plain.loss, ()
+    if taught:
+        lean.lessons = plain.lessons = lessons(size, 0.7)
     for step in range(6):
         part = batch(n, seed=step, size=size)
         if steps:
@@ -72,15 +81,19 @@ def check_lean_is_torchrl(size, n, tolerance, steps, **changes):
         loss.zero_grad()
         expected["loss_value"].backward()
         expected["loss_actor"].backward()
+        if taught:
+            lesson = lean.lessons.sample(1)
+            miss = plain.actor(observation=lesson[0])[-1] - lesson[1]
+            (0.7 * (miss**2).sum() / 7).backward()
         with torch.no_grad():
-            critic_loss, actor_loss = lean._gradient(*lean._columns(part))
+            critic_loss, actor_loss = lean._gradient(*lean._columns(part), *lesson)
         close(critic_loss, expected["loss_value"].detach(), tolerance)
         close(actor_loss, expected["loss_actor"].detach(), tolerance)
         for module, got in zip((plain.critic, plain.actor), lean._gradients, strict=True):
             wanted = torch.cat([p.grad.flatten() for p in module.parameters()])
             assert wanted.abs().max() > 1e-4
             close(got.flat / wanted.abs().max(), wanted / wanted.abs().max(), tolerance)
-        close(lean.update(part), plain.update(part.clone()), tolerance)
+        close(lean.update(part, lesson), plain.update(part.clone(), lesson), tolerance)
         for name in ("actor", "critic", "averaged"):
             close(vector(getattr(lean, name)), vector(getattr(plain, name)), tolerance)
         for module, targets in (
@@ -98,9 +111,31 @@ def test_lean_update_is_torchrls(steps):
     check_lean_is_torchrl(45, 256, 1e-6, steps, width=128)
 
 
+@pytest.mark.parametrize("taught", [False, True])
 @pytest.mark.parametrize("steps", [False, True])
-def test_lean_update_is_torchrls_in_double_precision(double, steps):
-    check_lean_is_torchrl(SIZE, 20, 1e-10, steps, alpha_actor=1e-2, alpha_critic=1e-2)
+def test_lean_update_is_torchrls_in_double_precision(double, steps, taught):
+    check_lean_is_torchrl(SIZE, 20, 1e-10, steps, taught, alpha_actor=1e-2, alpha_critic=1e-2)
+
+
+def test_both_learners_draw_the_same_lessons(double):
+    """And what they learn from them brings the actor nearer to the teacher."""
+    learners = [make(kind, total_updates=300) for kind in KINDS]
+    for learner in learners:
+        learner.lessons = lessons(SIZE, 10.0)
+        with torch.no_grad():
+            before = learner.actor(observation=learner.lessons.observations)[-1]
+        learner.learn(filled(), 300)
+        after = learner.actor(observation=learner.lessons.observations)[-1].detach()
+        wanted = learner.lessons.actions
+        assert (after - wanted).norm() < 0.5 * (before - wanted).norm()
+    close(vector(learners[0].actor), vector(learners[1].actor), 1e-6)
+
+
+def test_lessons_go_on_where_they_were():
+    whole, other = lessons(SIZE, 1.0), lessons(SIZE, 1.0)
+    whole.sample(3)
+    other.load_state_dict(whole.state_dict())
+    close(whole.sample(2), other.sample(2), 0.0)
 
 
 @pytest.mark.parametrize("backward", [norm_relu_backward, torch_backward])

@@ -127,3 +127,14 @@ def test_other_networks_are_refused(actor):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.Softplus()))
     with pytest.raises(ValueError, match="tanh"):
         PlainActor(nn.Sequential(nn.Linear(4, 3), nn.ReLU()))
+
+
+def test_a_wider_observation_does_not_change_the_policy_at_first():
+    """Of `path` in `robust`: actions are the same whatever the new numbers are."""
+    narrow = TrainedPolicy(make_actor(4, 8), "path")
+    wide = TrainedPolicy(make_actor(7, 8), "robust")
+    wide.actor.load_state_dict(narrow.widened(7))
+    seen = np.random.default_rng(0).normal(size=(5, 7)).astype(np.float32)
+    np.testing.assert_allclose(wide(seen), narrow(seen[:, :4]), atol=1e-6)
+    with pytest.raises(ValueError, match="policy: takes 7 numbers"):
+        wide.widened(4)

@@ -15,7 +15,7 @@ from train import generalist
 from train.jobs.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
 from train.support import training_loop
 from train.support.mission_report import read_metrics
-from train.support.run_folder import RunError, RunFolder
+from train.support.run_folder import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
     "--segments 5 --held-out 2 --courses 4 --rotate 16 --workers 1 --checkpoint-every 8 "
@@ -150,7 +150,7 @@ def test_a_policy_that_never_arrives_is_reported_too(finished, tmp_path, capsys)
     result = json.loads((finished / "generalist.json").read_text())
     result["held_out"] |= {"success_rate": 0.0, "point_rate": 0.0, "point_time": None}
     folder.write_json("generalist.json", result)
-    assert generalist._report(folder) == 0
+    assert generalist.report(folder) == 0
     assert capsys.readouterr().out
 
 
@@ -202,24 +202,6 @@ def test_bad_settings_are_refused_before_anything_is_written(arguments, named, t
     assert generalist.main(["--out", str(out), *arguments]) == 2
     assert named in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_a_wider_observation_does_not_change_the_policy_at_first(tmp_path):
-    """Of `path` in `robust`: actions are the same whatever the new numbers are."""
-    narrow = TrainedPolicy(make_actor(4, 8), "path")
-
-    class Robust:
-        @staticmethod
-        def observe():
-            return np.zeros((2, 7))
-
-    wide = TrainedPolicy(make_actor(7, 8), "robust")
-    wide.actor.load_state_dict(generalist.widened(narrow, Robust()))
-    seen = np.random.default_rng(0).normal(size=(5, 7)).astype(np.float32)
-    np.testing.assert_allclose(wide(seen), narrow(seen[:, :4]), atol=1e-6)
-    wider = TrainedPolicy(make_actor(9, 8), "robust")
-    with pytest.raises(RunError, match="--policy: takes 9 numbers"):
-        generalist.widened(wider, Robust())
 
 
 def test_what_fails_is_drawn_more_often():
