@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,19 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.overlay import SPEED_MAP
-from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, RED, flight_title, save
+from mjcollect.render.time_figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    LABEL,
+    ORANGE,
+    PURPLE,
+    RED,
+    flight_title,
+    save,
+)
 from mjcollect.render.time_figures import figure as new_figure
+from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 
@@ -36,19 +47,27 @@ TEXT: dict[str, Any] = {
     "bbox": {"boxstyle": "round,pad=0.18", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"},
 }
 EDGE = "#5A6672"  # Boxes have edges of this colour.
+WAY: dict[str, Any] = {"color": PURPLE, "linestyle": (0, (4, 2)), "linewidth": 1.4, "zorder": 3}
+MOVING: dict[str, Any] = {"facecolor": "#CC79A755", "edgecolor": PURPLE, "linewidth": 1.4}
 MARGIN = 0.12  # This share of a segment's extent is left free around it.
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 )
 
 
-def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None) -> Figure:
+def plot_path_3d(
+    path: Path,
+    done: Progress,
+    guidance_path: Array | None = None,
+    moving: Sequence[MovingBox] = (),
+) -> Figure:
     """Draws the flown path among the boxes in three dimensions, coloured by speed.
 
     Args:
         path: PNG to write, 1440 by 1200 pixels.
         done: what was flown; a segment is shown from near.
         guidance_path: (N, 3) shortest path, drawn dashed.
+        moving: boxes that moved, drawn where they were at first, their ways dashed.
 
     Returns:
         The figure, also written to `path`.
@@ -58,6 +77,9 @@ def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None)
     axes = axes_3d(figure, (0.0, 0.02, 0.86, 0.93), low, high)
     inside = np.clip(done.scene.obstacles, low, high)
     draw_boxes_3d(axes, inside[np.all(inside[:, 1] > inside[:, 0], axis=-1)])
+    for box in moving:
+        axes.plot(*np.array(box.path).T, **WAY)
+        draw_boxes_3d(axes, box.box_at(0.0)[None], **MOVING)
     pieces, by_speed = _pieces(done)
     shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
     axes.add_collection3d(
@@ -74,10 +96,15 @@ def plot_path_3d(path: Path, done: Progress, guidance_path: Array | None = None)
         above = point + (high - low) * [0, 0, 0.025]
         axes.text(*above, label, ha="center", va="bottom", zorder=8, **TEXT)
     axes.scatter(*done.trajectory.x[-1], depthshade=False, **END)
-    return _finish(figure, path, done, by_speed, guidance_path is not None)
+    return _finish(figure, path, done, by_speed, guidance_path is not None, bool(moving))
 
 
-def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None) -> Figure:
+def plot_path_top(
+    path: Path,
+    done: Progress,
+    guidance_path: Array | None = None,
+    moving: Sequence[MovingBox] = (),
+) -> Figure:
     """Draws the same from above: boxes shaded by the height of their tops, arrows along the path.
 
     See `plot_path_3d` for the arguments.
@@ -86,6 +113,7 @@ def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None
     low, high = (corner[:2] for corner in _window(done, guidance_path))
     axes = axes_top(figure, (0.075, 0.085, 0.76, 0.83), low, high)
     draw_boxes_top(axes, done.scene)
+    draw_moving(axes, moving, 0, 1)
     _box_heights(axes, done, low, high)
     pieces, by_speed = _pieces(done)
     flat = list(pieces[..., :2])
@@ -107,7 +135,7 @@ def plot_path_top(path: Path, done: Progress, guidance_path: Array | None = None
             **TEXT,
         )  # fmt: skip
     axes.scatter(*done.trajectory.x[-1, :2], clip_on=False, **END)
-    return _finish(figure, path, done, by_speed, guidance_path is not None)
+    return _finish(figure, path, done, by_speed, guidance_path is not None, bool(moving))
 
 
 # Shared parts
@@ -136,16 +164,12 @@ def axes_top(figure: Figure, place: Place, low: Array, high: Array) -> Any:
     return axes
 
 
-def draw_boxes_3d(axes: Any, boxes: Array) -> None:
-    """Draws boxes (M, 2, 3) in three dimensions."""
+def draw_boxes_3d(axes: Any, boxes: Array, **style: Any) -> None:
+    """Draws boxes (M, 2, 3) in three dimensions, in any other style if one is given."""
+    style = {"facecolor": "#8899AA", "edgecolor": EDGE, "alpha": 0.16, "linewidth": 0.5} | style
     for box in boxes:
         corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        axes.add_collection3d(
-            Poly3DCollection(
-                corners[BOX_FACES], facecolor="#8899AA", edgecolor=EDGE, alpha=0.16, linewidth=0.5,
-                zorder=1,
-            )
-        )  # fmt: skip
+        axes.add_collection3d(Poly3DCollection(corners[BOX_FACES], zorder=1, **style))
 
 
 def draw_boxes_top(axes: Any, scene: Scene) -> None:
@@ -159,6 +183,14 @@ def draw_boxes_top(axes: Any, scene: Scene) -> None:
                 alpha=0.75, linewidth=0.8, zorder=1,
             )
         )  # fmt: skip
+
+
+def draw_moving(axes: Any, moving: Sequence[MovingBox], across: int, up: int) -> None:
+    """Draws moving boxes where they are at first, and their ways dashed, over two of the axes."""
+    for box in moving:
+        axes.plot(*np.array(box.path)[:, [across, up]].T, **WAY)
+        corners = box.box_at(0.0)[:, [across, up]]
+        axes.add_patch(Rectangle(tuple(corners[0]), *(corners[1] - corners[0]), zorder=3, **MOVING))
 
 
 def _pieces(done: Progress) -> tuple[Array, dict[str, Any]]:
@@ -247,8 +279,9 @@ def _arrows(axes: Any, done: Progress) -> None:
 
 
 def _finish(
-    figure: Figure, path: Path, done: Progress, by_speed: dict[str, Any], guidance: bool
-) -> Figure:
+    figure: Figure, path: Path, done: Progress, by_speed: dict[str, Any], guidance: bool,
+    moving: bool,
+) -> Figure:  # fmt: skip
     """Adds title, colour bar and legend outside of the data; then writes the file."""
     figure.suptitle(flight_title(done), fontsize=15, x=0.5, y=0.972)
     scale = ScalarMappable(by_speed["norm"], by_speed["cmap"])
@@ -264,6 +297,8 @@ def _finish(
     }
     if guidance:
         handles["shortest path"] = Line2D([], [], **GUIDANCE)
+    if moving:
+        handles["moving box"] = Rectangle((0, 0), 1, 1, **MOVING)
     if figure.axes[0].name != "3d":
         handles["box, z range (m)"] = Rectangle((0, 0), 1, 1, color="#AAAAAA")
     figure.legend(

@@ -14,8 +14,8 @@ from matplotlib.patches import Rectangle
 
 from mjcollect.envs.disturbed import HOME, DisturbedFlight, DisturbedFlights
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.path_figures import EDGE, TEXT
-from mjcollect.render.time_figures import BLACK, BLUE, LABEL, ORANGE, PURPLE, RED, save
+from mjcollect.render.path_figures import EDGE, MOVING, TEXT, draw_moving
+from mjcollect.render.time_figures import BLACK, BLUE, LABEL, ORANGE, RED, save
 from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.air import Air
 from mjcollect.scene.order import DEPOT
@@ -27,7 +27,6 @@ GAP = 0.055  # Between the views so much of the figure is free.
 THIN: dict[str, Any] = {"color": BLUE, "linewidth": 0.8, "alpha": 0.45, "zorder": 4}
 FAILED: dict[str, Any] = {"color": RED, "linewidth": 0.8, "alpha": 0.4, "zorder": 4.5}
 ENDED: dict[str, Any] = {"color": RED, "marker": "X", "s": 42, "edgecolor": "white", "zorder": 7}
-MOVING: dict[str, Any] = {"edgecolor": PURPLE, "linewidth": 1.4, "zorder": 3}
 VIEWS = ((0, 1, "x (m)", "y (m)", "from above"), (0, 2, "x (m)", "z (m)", "from the side"))
 
 
@@ -57,7 +56,7 @@ def plot_tracks(path: Path, scene: Scene, order: Sequence[int], flown: Disturbed
         axes.tick_params(labelsize=9.5)
         _boxes(axes, scene, across, up)
         if shown.air is not None:
-            _moving_boxes(axes, shown.air, across, up)
+            draw_moving(axes, shown.air.moving, across, up)
         _tracks(axes, scene, flown.flights, across, up)
         _nodes(axes, scene, order, across, up)
     _winds(figure, flown)
@@ -96,16 +95,6 @@ def _boxes(axes: Any, scene: Scene, across: int, up: int) -> None:
                 linewidth=0.7, zorder=1,
             )
         )  # fmt: skip
-
-
-def _moving_boxes(axes: Any, air: Air, across: int, up: int) -> None:
-    """Draws moving boxes where they are at first, and their paths dashed."""
-    for box in air.moving:
-        path = np.array(box.path)[:, [across, up]]
-        axes.plot(*path.T, color=PURPLE, linestyle=(0, (4, 2)), linewidth=1.4, zorder=3)
-        corners = box.box_at(0.0)[:, [across, up]]
-        size = corners[1] - corners[0]
-        axes.add_patch(Rectangle(tuple(corners[0]), *size, facecolor="#CC79A755", **MOVING))
 
 
 def _tracks(
@@ -186,8 +175,7 @@ def _legend(figure: Figure, air: Air | None) -> None:
         "box": Rectangle((0, 0), 1, 1, facecolor="#BBBBBB", edgecolor=EDGE),
     }
     if air is not None and air.moving:
-        box = Rectangle((0, 0), 1, 1, facecolor="#CC79A755", **{**MOVING, "zorder": 1})
-        handles["moving box of\nthe flight shown"] = box
+        handles["moving box of\nthe flight shown"] = Rectangle((0, 0), 1, 1, **MOVING)
     if air is not None and np.any(air.wind):
         handles["wind of the\nflight shown"] = Line2D([], [], color=BLACK, linewidth=2.2)
     figure.legend(

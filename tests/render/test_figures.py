@@ -19,6 +19,7 @@ from PIL import Image
 from mjcollect.render.arrivals import progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
+from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.trajectory import Trajectory
 
@@ -273,3 +274,24 @@ def test_pyplot_is_not_touched() -> None:
         "import sys, mjcollect.render.path_figures; assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_moving_boxes_are_drawn_where_they_were_at_first(
+    scene: Scene, flown: Trajectory, tmp_path: Path
+) -> None:
+    path = [[400.0, 300.0, 60.0], [400.0, 600.0, 60.0]]
+    box = MovingBox.from_dict({"size": [40, 60, 40], "path": path, "speed": 8.0})
+    done = progress(scene, flown, ORDER)
+    solid = plot_path_3d(tmp_path / "a.png", done, moving=[box])
+    above = plot_path_top(tmp_path / "b.png", done, moving=[box])
+    drawn = [part for part in solid.axes[0].collections if isinstance(part, Poly3DCollection)]
+    corners = np.array(drawn[len(BOXES)]._faces).reshape(-1, 3)
+    np.testing.assert_allclose(corners.min(axis=0), [380, 270, 40])
+    np.testing.assert_allclose(corners.max(axis=0), [420, 330, 80])
+    flat = [part for part in above.axes[0].patches if part.get_facecolor()[3] < 0.5]
+    assert [(*part.get_xy(), part.get_width(), part.get_height()) for part in flat] == [
+        (380, 270, 40, 60)
+    ]
+    for figure, name in ((solid, "a.png"), (above, "b.png")):
+        check_png(tmp_path / name, 1440, 1200)
+        assert "moving box" in [text.get_text() for text in figure.legends[0].get_texts()]

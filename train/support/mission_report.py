@@ -99,8 +99,9 @@ def write_mission(
     if plots:
         rest = REST_SPEED if air is None else DISTURBED_REST
         flown = progress(scene, flight.trajectory, result["order"], rest_speed=rest)
-        folder.write("path_3d.png", lambda part: plot_path_3d(part, flown))
-        folder.write("path_top.png", lambda part: plot_path_top(part, flown))
+        moving = () if air is None else air.moving
+        folder.write("path_3d.png", lambda part: plot_path_3d(part, flown, moving=moving))
+        folder.write("path_top.png", lambda part: plot_path_top(part, flown, moving=moving))
         folder.write("speed.png", lambda part: plot_speed(part, flown))
         rows = [
             {"segment": float(index), **row}
