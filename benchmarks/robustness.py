@@ -29,6 +29,8 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.disturbed import ENDS
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
+from mjcollect.flight.moving_boxes import MovingBoxes
+from mjcollect.geometry.boxes import segment_box_distance
 from mjcollect.learning.policy import DISTURBED, SHIPPED, TrainedPolicy, policy_digest, weights_file
 from mjcollect.planners.mpc import Mpc
 from mjcollect.render.time_figures import BLACK, BLUE, GREEN, LABEL, ORANGE, PURPLE, figure
@@ -118,18 +120,32 @@ def policy_file(name: str) -> Path:
     return {"policy": DISTURBED, "calm policy": SHIPPED}.get(name, Path(name))
 
 
+def reached_by_a_box(point: np.ndarray, radius: float, movers: MovingBoxes) -> np.ndarray:
+    """Returns in which flights (N,) a moving box ever reaches a body that stays at a point (3,).
+
+    Where none does, whoever waits there touches no moving box: contact could have been avoided.
+    """
+    ends = point - movers.path  # of the point's way as each box sees it
+    box = np.stack([-movers.half, movers.half], axis=2)
+    gap = segment_box_distance(ends[:, :, 0], ends[:, :, 1], box)
+    return np.asarray(((gap <= radius) & (movers.speed > 0.0)).any(axis=1))
+
+
 def fly(
     course: Course, pilot: Pilot, rules: Rules, disturbances: Disturbances
-) -> tuple[np.ndarray, np.ndarray, float]:
+) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Flies a course of one segment from rest at its start, once for each of the disturbances.
 
     Returns:
-        How each ended, as indices (count,) of ENDS, the seconds (count,) until then, and the share
-        of the slots flown in which the shield gave way.
+        How each ended, as indices (count,) of ENDS, the seconds (count,) until then, the share of
+        the slots flown in which the shield gave way, and in how many flights a moving box comes to
+        the start itself.
     """
     count = disturbances.count
     sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
     sims.reset()
+    start, radius = sims.episodes.truth[0].copy(), course.scene.uav_radius
+    hopeless = int(reached_by_a_box(start, radius, disturbances.movers).sum())
     running, ended = np.ones(count, bool), np.full(count, ENDS.index("too late"))
     slots, gave = np.zeros(count), 0
     while running.any():
@@ -146,7 +162,7 @@ def fly(
             ended[running & those] = ENDS.index(end)
         running &= ~(outcome.terminated | outcome.truncated)
     sims.close()
-    return ended, slots * course.scene.slot, gave / float(slots.sum())
+    return ended, slots * course.scene.slot, gave / float(slots.sum()), hopeless
 
 
 def disturbance(kind: str, value: float) -> Disturbance:
@@ -176,7 +192,8 @@ def flights(course: Course, number: int, args: Args, pilot: str) -> list[Row]:
             round(float(t) / detour, 4) if ok else None for t, ok in zip(seconds, home, strict=True)
         ]
         gave = float(np.mean([each[2] for each in results]))
-        return {"flights": len(ended), **ends, "times": times, "gave_way": gave}
+        row = {"flights": len(ended), **ends, "times": times, "gave_way": gave}
+        return row | {"unavoidable": sum(each[3] for each in results)}
 
     calm = None
     rows = []
@@ -204,7 +221,8 @@ def fly_segment(args: Args, job: tuple[int, Sequence[str]]) -> list[Row]:
 def summary(rows: Sequence[Row]) -> list[Row]:
     """Returns how flights ended, as shares, and their mean time by pilot, kind and level.
 
-    `low` and `high` bound the share that comes home with 95%, over the segments.
+    `low` and `high` bound the share that comes home with 95%, over the segments; `unavoidable` is
+    the share of flights whose start a moving box passes: at most so many had to touch one.
     """
     found = []
     for key, these in grouped(rows, *LEVEL).items():
@@ -223,6 +241,7 @@ def summary(rows: Sequence[Row]) -> list[Row]:
                 "high": interval["high"],
                 "time": float(np.mean(times)) if times else None,
                 "gave_way": float(np.mean([row["gave_way"] for row in these])),
+                "unavoidable": sum(row["unavoidable"] for row in these) / count,
             }
         )
     return found

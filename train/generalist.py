@@ -339,7 +339,9 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
 
 
 def _give_lessons(folder: RunFolder, args: Args, numbers: Sequence[int]) -> bool:
-    """Has the MPC give the lessons; returns False if Ctrl-C stopped it."""
+    """Has the MPC give the lessons that are asked for; returns False if Ctrl-C stopped it."""
+    if args.lessons == 0:
+        return True
     school = School(
         args.seed, tuple(numbers), (folder.path / POOL).resolve(), args.learn.rules,
         args.disturbed, args.disturbance,

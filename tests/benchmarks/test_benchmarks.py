@@ -3,16 +3,18 @@
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 
 from benchmarks import missions, robustness, unseen
+from mjcollect.flight.moving_boxes import MovingBoxes
 
 
 def row(pilot, segment, home, level=1.0, time=1.1):
     times = [time] * home + [None] * (4 - home)
     ends = dict.fromkeys(robustness.ENDS, 0) | {"home": home, "too late": 4 - home}
     return {"pilot": pilot, "kind": "wind", "level": level, "segment": segment, "flights": 4,
-            **ends, "times": times, "gave_way": 0.0}  # fmt: skip
+            **ends, "times": times, "gave_way": 0.0, "unavoidable": 0}  # fmt: skip
 
 
 def test_a_difference_is_that_of_the_rates_on_the_same_segments():
@@ -90,3 +92,20 @@ def test_where_nothing_arrives_there_is_no_time():
     )
     assert (policy["arrived"], policy["median"], policy["contacts"]) == (0, None, 1)
     assert (law["median"], law["worst"]) == (1.5, 1.5)
+
+
+def test_a_box_that_passes_the_start_is_found():
+    """Against a fine clock; elsewhere a body that waits at its start is never touched."""
+    rng, count = np.random.default_rng(0), 300
+    movers = MovingBoxes(count, 2)
+    start, goal = np.zeros((count, 3)), np.tile([260.0, 0.0, 0.0], (count, 1))
+    movers.begin(np.arange(count), start, goal, rng.choice([0.0, 15.0], (count, 2)), rng, 0.7)
+    point = np.array([105.0, 75.0, 18.0])
+    found = robustness.reached_by_a_box(point, 0.5, movers)
+    centres = movers.centres(np.linspace(0.0, 40.0, 4001))
+    off = np.maximum(np.abs(point - centres) - movers.half[:, :, None], 0.0)
+    touched = ((np.linalg.norm(off, axis=3) <= 0.5).any(axis=2) & (movers.speed > 0)).any(axis=1)
+    assert 20 < found.sum() < 280
+    assert (found >= touched).all()
+    assert (found != touched).sum() <= 2, "grazes between two ticks"
+    assert not robustness.reached_by_a_box(start[0], 0.5, movers).any()

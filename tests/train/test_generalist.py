@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from mjcollect.envs.observation import SIZE as PATH
 from mjcollect.learning.ddpg import make_actor
 from mjcollect.learning.policy import TrainedPolicy, policy_digest
 from train import generalist
+from train.jobs import lessons
 from train.jobs.segment_pool import ITEMS, OBSTACLES, SCALE, build, draw_segment
 from train.support import training_loop
 from train.support.mission_report import read_metrics
@@ -128,6 +130,53 @@ def test_learns_with_shards_and_goes_on_after_a_stop(finished, tmp_path, monkeyp
         generalist.main(["--out", str(parts), *more])
     monkeypatch.setattr(generalist.Trainer, "run", run)
     assert generalist.main(["--out", str(parts), *more, "--resume"]) == 0
+    same(whole, parts)
+
+
+@pytest.mark.slow
+def test_learns_from_lessons_and_goes_on_after_a_stop(finished, tmp_path, monkeypatch, capsys):
+    """Stopped among the lessons and in training, the same policy comes out, and another without."""
+    monkeypatch.setattr(lessons, "importing_pool", lambda _: ThreadPoolExecutor(1))
+    for name in ("SEGMENTS", "FLIGHTS", "AT_ONCE"):
+        monkeypatch.setattr(lessons, name, 1)
+    more = [*TINY, "--updates", "32", "--least-updates", "32", "--flown", "last"]
+    taught = [*more, "--lessons", "60", "--imitation", "5"]
+    built = generalist._build(RunFolder(finished), args_of(tmp_path))
+
+    def link(folder, args):
+        if not (folder.path / "pool").exists():
+            (folder.path / "pool").symlink_to(finished / "pool")
+        return built
+
+    monkeypatch.setattr(generalist, "_build", link)
+    whole, parts, plain = (tmp_path / name for name in ("whole", "parts", "plain"))
+    assert generalist.main(["--out", str(whole), *taught]) == 0
+    assert generalist.main(["--out", str(plain), *more]) == 0
+    assert (whole / "policy.safetensors").read_bytes() != (
+        plain / "policy.safetensors"
+    ).read_bytes()
+    files = sorted((whole / "lessons").iterdir())
+    assert len(files) >= 1
+    give, run = generalist.give_lessons, generalist.Trainer.run
+
+    def stop_at_once(*args):
+        yield next(give(*args)) * 0
+
+    def cut(trainer):
+        for updates in run(trainer):
+            yield updates
+            if updates == 20:  # after the checkpoint at 16
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(generalist, "give_lessons", stop_at_once)
+    assert generalist.main(["--out", str(parts), *taught]) == 130
+    assert "--resume" in capsys.readouterr().err
+    monkeypatch.setattr(generalist, "give_lessons", give)
+    monkeypatch.setattr(generalist.Trainer, "run", cut)
+    with contextlib.suppress(KeyboardInterrupt):
+        generalist.main(["--out", str(parts), *taught, "--resume"])
+    monkeypatch.setattr(generalist.Trainer, "run", run)
+    assert generalist.main(["--out", str(parts), *taught, "--resume"]) == 0
     same(whole, parts)
 
 
