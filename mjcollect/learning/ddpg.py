@@ -171,8 +171,7 @@ class BaseLearner:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Updates critic, actor and targets on a batch; returns the critic's and actor's loss.
 
-        Args:
-            lesson: observations (n, D) and the teacher's actions (n, 3), if there is one.
+        A lesson of a teacher, if there is one, is observations (n, D) and its actions (n, 3).
         """
         raise NotImplementedError
 
@@ -183,10 +182,7 @@ class BaseLearner:
         """
         batch = sample(buffer, count).to(self.device)
         parts = batch.split(len(batch) // count)
-        lessons: list[Sequence[torch.Tensor]] = [()] * count
-        if self.lessons is not None:
-            columns = self.lessons.sample(count)
-            lessons = list(zip(*(column.chunk(count) for column in columns), strict=True))
+        lessons = [()] * count if self.lessons is None else self.lessons.batches(count)
         losses = [self.update(*pair) for pair in zip(parts, lessons, strict=True)]
         return torch.stack([torch.stack(pair) for pair in losses])
 
@@ -228,8 +224,7 @@ class Learner(BaseLearner):
         # autograd does not notice that a step changed the critic's weights under the detached copy.
         losses["loss_value"].backward()
         losses["loss_actor"].backward()
-        if lesson:  # This adds to the actor's gradient.
-            assert self.lessons is not None
+        if self.lessons is not None:  # This adds to the actor's gradient.
             miss = self.actor(observation=lesson[0])[-1] - lesson[1]
             (self.lessons.weight * miss.square().sum(dim=1).mean()).backward()
         for optimizer in optimizers:

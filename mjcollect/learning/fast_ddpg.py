@@ -182,8 +182,7 @@ class LeanLearner(BaseLearner):
         d = torch.cat([error * (2 / n), torch.full_like(error, -1 / n)])
         d = backward(self._critic, self._gradients[0], critic_records, d, n)
         d_action = d[n:] @ self._critic.hidden[0][0][:, s.shape[1] :]
-        if lesson:
-            assert self.lessons is not None
+        if self.lessons is not None:
             miss = actions[n:] - lesson[1]
             d_action = torch.cat([d_action, miss * (2 * self.lessons.weight / len(miss))])
         d = d_action * (1 - actions * actions)  # The factor is the derivative of tanh.

@@ -39,6 +39,10 @@ class Lessons:
         index = index.to(self.observations.device)
         return self.observations[index], self.actions[index]
 
+    def batches(self, count: int) -> list[tuple[torch.Tensor, ...]]:
+        """Returns the same as `count` pairs (batch, D) and (batch, 3)."""
+        return list(zip(*(column.chunk(count) for column in self.sample(count)), strict=True))
+
     def state_dict(self) -> dict[str, Any]:
         """Returns the state of the random stream."""
         return {"generator": self._generator.get_state()}
