@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 
@@ -39,9 +40,13 @@ def main(argv: list[str] | None = None) -> int:
             "order_method": order_label(args.order),
             "segments": segments_table(scene, order),
         }
-        print(json.dumps(document, indent=1))
+        text = json.dumps(document, indent=1)
     else:
-        print(_report(scene, order, order_label(args.order)))
+        text = _report(scene, order, order_label(args.order))
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # `| head` has read enough; Python must not flush again at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
 
 

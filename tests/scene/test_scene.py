@@ -1,4 +1,5 @@
 import json
+import os
 import re
 import subprocess
 import sys
@@ -368,3 +369,14 @@ def test_control_characters_of_a_file_are_not_echoed():
     assert str(error).isprintable()
     assert "\\x1b[2J" in str(error)
     assert error.field == "\x1b]0;gone\x07"
+
+
+def test_a_reader_that_has_read_enough_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "mjcollect.scene", "scenario_2"]
+    with os.fdopen(writing, "wb") as closed:
+        run = subprocess.run(command, stdout=closed, stderr=subprocess.PIPE, check=False)
+    assert run.returncode == 0
+    assert b"Broken" not in run.stderr
+    assert b"Traceback" not in run.stderr
