@@ -116,7 +116,6 @@ def fly_mission(args: Args) -> int:
         disturbed = is_disturbed(args.disturbance) or Scene.find(args.scene or "").moving
         args = replace(args, policy=DISTURBED if disturbed else SHIPPED)
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
-    shield = args.shield and args.planner in ("policy", "guidance")
     training_results: Sequence[dict[str, Any] | None]
     if args.run is not None:
         scene, order, method, seed = _finished_run(args)
@@ -126,12 +125,13 @@ def fly_mission(args: Args) -> int:
             own.read_json("segment.json") if by_policy else None for own in segments
         ]
         learn = (RunFolder(args.run).read_json("config.json") or {}).get("learn", {})
-        shield = shield and (not by_policy or learn.get("shield", False))
+        shield = args.shield and (not by_policy or learn.get("shield", False))
     else:
         scene, seed = Scene.find(args.scene or ""), args.seed or 0
         order = plan_order(scene, args.order or "lkh", seed=seed)
         method = order_label(args.order or "lkh")
         training_results = [None] * (len(order) + 1)
+        shield = args.shield
     weather = Weather.of(args.disturbance, args.flights)
     many = weather.flights > 1 or weather.disturbed or bool(scene.moving)
     if many and args.planner == "reference":
@@ -139,6 +139,8 @@ def fly_mission(args: Args) -> int:
             "--planner: reference: its plan is flown blindly, and made for a single calm flight; "
             "take policy, guidance or mpc, or leave disturbances and --flights out"
         )
+    # In calm air the plans of MPC and reference planner are free of contact as they are.
+    shield = shield and (many or args.planner in ("policy", "guidance"))
     name = scene.slug if args.run is None else args.run.resolve().name
     names = [name, args.planner, *(weather.name() if many else []), f"seed{seed}"]
     folder = RunFolder(args.out or default_folder("fly", *names))

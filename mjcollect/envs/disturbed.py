@@ -57,11 +57,17 @@ class SeesAndActs(Protocol):
 
 @dataclass(frozen=True)
 class DisturbedFlight:
-    """Holds one flight, how it ended (one of ENDS) and what disturbed it (None in calm air)."""
+    """Holds one flight.
+
+    Attributes:
+        ended: how it ended, one of ENDS. air: what disturbed it, None in calm air.
+        gave_way: share of the slots in which the shield kept less than its margin.
+    """
 
     flight: Flight
     ended: str
     air: Air | None
+    gave_way: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,15 +94,13 @@ class DisturbedFlights:
     @property
     def mean_time(self) -> Measure:
         """Returns the mean time (s) of the flights that came home, with Student's interval."""
-        times = [f.flight.trajectory.duration for f in self.flights if f.ended == HOME]
-        if not times:
-            return Measure(None, None, None)
-        mean = float(np.mean(times))
-        if len(times) == 1:
-            return Measure(mean, None, None)
-        error = float(np.std(times, ddof=1)) / len(times) ** 0.5
-        reach = float(stats.t.ppf((1.0 + CONFIDENCE) / 2, len(times) - 1)) * error
-        return Measure(mean, mean - reach, mean + reach)
+        return _mean([f.flight.trajectory.duration for f in self.flights if f.ended == HOME])
+
+    @property
+    def gave_way(self) -> Measure:
+        """Returns the mean share of slots in which the shield kept less than its margin."""
+        value, *ends = _mean([flown.gave_way for flown in self.flights])
+        return Measure(value, *(None if end is None else min(max(end, 0.0), 1.0) for end in ends))
 
     @property
     def shown(self) -> int:
@@ -108,6 +112,15 @@ class DisturbedFlights:
         result = stats.binomtest(count, len(self.flights))
         interval = result.proportion_ci(CONFIDENCE, method="wilson")
         return Measure(count / len(self.flights), float(interval.low), float(interval.high))
+
+
+def _mean(values: Sequence[float]) -> Measure:
+    """Returns the mean with Student's interval."""
+    if len(values) < 2:
+        return Measure(values[0] if values else None, None, None)
+    mean, error = float(np.mean(values)), float(np.std(values, ddof=1)) / len(values) ** 0.5
+    reach = float(stats.t.ppf((1.0 + CONFIDENCE) / 2, len(values) - 1)) * error
+    return Measure(mean, mean - reach, mean + reach)
 
 
 class CourseAir(Disturbances):
@@ -279,6 +292,7 @@ class _Track:
         self._recorder = Recorder(state[1:4], state[4:7], course.scene.physics_step)
         self._arrivals: list[float] = []
         self._shielded: list[bool] = []
+        self._gave_way = 0
         self._pushes: list[Array] = []
 
     @property
@@ -293,6 +307,7 @@ class _Track:
         path, speeds = sims.path[index, :rows], sims.speeds[index, :rows]
         self._recorder.slot(path, speeds, sims.acceleration[index])
         self._shielded.append(bool(outcome.shielded[index]))
+        self._gave_way += int(outcome.room[index] < 1.0)
         if push is not None:
             self._pushes.append(push[index])
         if slot.arrived[index]:
@@ -321,4 +336,5 @@ class _Track:
             trajectory, self.ended == HOME, touched, tuple(self._arrivals), tuple(self._shielded),
             self._scene.slot,
         )  # fmt: skip
-        return DisturbedFlight(flight, self.ended, met)
+        gave_way = self._gave_way / len(self._shielded)
+        return DisturbedFlight(flight, self.ended, met, gave_way)

@@ -170,6 +170,29 @@ def test_intervals_are_those_of_wilson_and_student() -> None:
     assert flown.mean_time == pytest.approx((12.0, low, high))
     assert DisturbedFlights(flown.flights[:1]).mean_time == (None, None, None)
     assert DisturbedFlights(flown.flights[1:2]).mean_time == (10.0, None, None)
+    shares = (0.0, 0.0, 0.4)
+    gave = tuple(replace(one(1.0, "home"), gave_way=share) for share in shares)
+    high = stats.t.interval(0.95, 2, np.mean(shares), stats.sem(shares))[1]
+    assert DisturbedFlights(gave).gave_way == pytest.approx((0.4 / 3, 0.0, high))
+
+
+def test_flights_say_how_often_the_shield_gave_way(corridor, monkeypatch) -> None:
+    rooms = []
+    step = Simulations.step
+
+    def watched(sims, action):
+        outcome = step(sims, action)
+        rooms.append(outcome.room.copy())
+        return outcome
+
+    monkeypatch.setattr(Simulations, "step", watched)
+    level = Disturbance(wind=6.0, gusts=3.0, gain=0.3, delay=0.1, mover=10.0, boxes=3)
+    flown = law(Course.mission(corridor, (0, 1)), level, 6)
+    gave = np.array(rooms) < 1.0
+    for index, each in enumerate(flown.flights):
+        slots = len(each.flight.shielded)
+        assert each.gave_way == pytest.approx(gave[:slots, index].mean())
+    assert flown.gave_way.value > 0.0
 
 
 def test_air_comes_back_from_its_file_to_the_digit(flown, tmp_path) -> None:

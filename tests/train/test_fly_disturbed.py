@@ -45,7 +45,7 @@ def test_mission_json_says_how_all_flights_went(windy, capsys) -> None:
     result = json.loads((windy / "mission.json").read_text())
     assert result["flights"] == 8
     assert result["disturbance"]["wind"] == 3.0
-    for name in ("success_rate", "contact_rate", "mean_time"):
+    for name in ("success_rate", "contact_rate", "mean_time", "gave_way"):
         measure = result[name]
         assert measure["low"] <= measure["value"] <= measure["high"]
     assert list(result["ended"]) == [
@@ -127,7 +127,7 @@ def test_mpc_flies_one_by_one(law, tmp_path) -> None:
     fly([*law, *arguments, "--out", str(out)])
     result = json.loads((out / "mission.json").read_text())
     assert (result["flights"], result["planner"]) == (2, "mpc")
-    assert json.loads((out / "config.json").read_text())["shield"] is False
+    assert json.loads((out / "config.json").read_text())["shield"] is True
 
 
 def test_no_flight_at_home_is_code_1(law, tmp_path, capsys) -> None:

@@ -75,7 +75,7 @@ class Weather:
         return [*(f"{key}{value:g}" for key, value in level.items()), f"{self.flights}flights"]
 
 
-def fly_mpc(course: Course, weather: Weather, seed: int) -> DisturbedFlights:
+def fly_mpc(course: Course, weather: Weather, seed: int, shield: bool) -> DisturbedFlights:
     """Flies by model predictive control, one flight after the other, each with a new planner."""
     flown = []
     for number in tqdm(range(weather.flights), desc="flights", unit="flight", leave=False):
@@ -84,7 +84,7 @@ def fly_mpc(course: Course, weather: Weather, seed: int) -> DisturbedFlights:
         def pilot(sims: Simulations, planner: Mpc = planner) -> np.ndarray:
             return planner.action(sims.episodes)[None]
 
-        rules = Rules(shield=False)
+        rules = Rules(shield=shield)
         one = fly_batch(course, pilot, rules, weather.disturbance, 1, [seed, number], bar=False)
         met = one.flights[0].air
         met = None if met is None else replace(met, flight=number)
@@ -100,10 +100,10 @@ def fly_all(
 
     Args:
         planner: policy, mpc or guidance. policies: one for all segments, or one each.
-        shield: whether policies and guidance law fly with the shield.
+        shield: whether they fly with the shield.
     """
     if planner == "mpc":
-        return fly_mpc(course, weather, seed)
+        return fly_mpc(course, weather, seed, shield)
     pilot: Pilot = by_policies(policies) if planner == "policy" else Simulations.law
     observation = policies[0].observation if planner == "policy" else "guided"
     rules = Rules(observation, shield=shield)
@@ -134,6 +134,7 @@ def flights_result(weather: Weather, flown: DisturbedFlights) -> dict[str, Any]:
         "success_rate": flown.success_rate._asdict(),
         "contact_rate": flown.contact_rate._asdict(),
         "mean_time": flown.mean_time._asdict(),
+        "gave_way": flown.gave_way._asdict(),
         "ended": ended | ({REFUSED: refused} if refused else {}),
     }
 
