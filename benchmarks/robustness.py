@@ -26,7 +26,7 @@ import tyro
 from benchmarks.common import Row, grouped, in_processes, save, segment_course
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
-from mjcollect.envs.disturbed import ENDS
+from mjcollect.envs.disturbed import ENDS, by_policies
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import MovingBoxes
@@ -60,6 +60,7 @@ STYLES = {
     "calm policy": (BLACK, "policy for calm air"),
 }
 TOLD = "told "  # This before a pilot's name says that it knows what disturbs it.
+BARE = "bare "  # This before a policy's name says that it never explores.
 NOT_LEARNED = ("law", "adaptive law", "mpc")
 FIRST = HELD_OUT + 10_000  # no policy was chosen by these segments either
 Pilot = Callable[[Simulations], np.ndarray]  # actions (count, 3), |a| <= 1
@@ -71,7 +72,7 @@ class Args:
 
     pilots: tuple[str, ...] = tuple(STYLES)
     """Pilots that fly: any of these, of which the policies are the package's own, files of others,
-    and all of them with `told ` before."""
+    policies with `bare ` before, which never explore, and all of them with `told ` before."""
     kinds: tuple[str, ...] = tuple(KINDS)
     """Kinds of disturbance that are flown."""
     segments: int = 200
@@ -111,12 +112,14 @@ def prepare(name: str, course: Course) -> tuple[str, Pilot]:
         return "guided", mpc(course)
     if name in NOT_LEARNED:
         return "guided", Simulations.law
+    explore = not name.startswith(BARE)
     policy = TrainedPolicy.load(weights_file(policy_file(name)))
-    return policy.observation, lambda sims: policy(sims.observe().astype(np.float32))
+    return policy.observation, by_policies([policy], explore=explore)
 
 
 def policy_file(name: str) -> Path:
     """Returns the file of a pilot that is a policy."""
+    name = name.removeprefix(BARE)
     return {"policy": DISTURBED, "calm policy": SHIPPED}.get(name, Path(name))
 
 

@@ -19,6 +19,7 @@ from tqdm import tqdm
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Outcome, Rules
+from mjcollect.envs.exploration import Exploration
 from mjcollect.envs.recording import SILENT, Flight
 from mjcollect.flight.disturbance import STRENGTHS, Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import LEAST_WAY, MovingBoxes
@@ -206,6 +207,7 @@ def fly_disturbed(
     seed: int = 0,
     *,
     shield: bool = True,
+    explore: bool = True,
 ) -> DisturbedFlights:
     """Flies a course by a policy `flights` times from rest at its start, each in air of its own.
 
@@ -214,19 +216,26 @@ def fly_disturbed(
         disturbance: how strong wind, gusts and so on are. Moving boxes of the scene come on top.
         seed: of all draws; the same seed gives the same flights.
         shield: whether to bend commands that leave no way to stop without touching anything.
+        explore: whether the policy tries something else where it gets no nearer.
 
     Raises:
         ValueError: boxes are to move, but every segment is too short for one.
     """
     policies = list(policy) if isinstance(policy, Sequence) else [policy]
     rules = Rules(policies[0].observation, shield=shield)
-    return fly_batch(course, by_policies(policies), rules, disturbance, flights, seed)
+    pilot = by_policies(policies, explore=explore)
+    return fly_batch(course, pilot, rules, disturbance, flights, seed)
 
 
-def by_policies(policies: Sequence[SeesAndActs]) -> Pilot:
-    """Returns a pilot of one policy, or of one for each segment."""
+def by_policies(policies: Sequence[SeesAndActs], *, explore: bool = True) -> Pilot:
+    """Returns a pilot of one policy, or of one for each segment.
 
-    def pilot(sims: Simulations) -> Array:
+    Args:
+        explore: whether it tries something else where it gets no nearer; see `exploration`.
+    """
+    exploration: Exploration | None = None
+
+    def decided(sims: Simulations) -> Array:
         seen = sims.observe().astype(np.float32)
         if len(policies) == 1:
             return policies[0](seen)
@@ -235,6 +244,14 @@ def by_policies(policies: Sequence[SeesAndActs]) -> Pilot:
             rows = np.flatnonzero(target == segment)
             actions[rows] = policies[segment](seen[rows])
         return actions
+
+    def pilot(sims: Simulations) -> Array:
+        nonlocal exploration
+        if not explore:
+            return decided(sims)
+        if exploration is None or (sims.episodes.steps == 0).all():
+            exploration = Exploration(sims.count)
+        return exploration(sims.episodes, decided(sims))
 
     return pilot
 
