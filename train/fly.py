@@ -80,7 +80,10 @@ class Args:
     default."""
     shield: bool = True
     """Bends commands of policy and guidance that leave no way to stop without touching anything.
-    Runs learned without the shield, mpc and reference always fly without it."""
+    Runs learned without the shield, and in calm air mpc and reference, always fly without it."""
+    explore: bool = True
+    """Lets a policy try something else where it gets no nearer: noise on its actions, for a while;
+    in disturbed air, or with --flights."""
     flights: int | None = None
     """Flies the mission so often, each time in air of its own; by default 100 times in disturbed
     air, else once."""
@@ -153,7 +156,7 @@ def fly_mission(args: Args) -> int:
         "policy": None if args.policy is None else policy_digest(args.policy),
         "seed": seed,
         "shield": shield,
-        **(weather.config() if many else {}),
+        **(weather.config() | {"explore": args.explore} if many else {}),
     }
     folder.check(config, overwrite=args.overwrite)
     if args.guidance_cache is not None:
@@ -178,7 +181,8 @@ def fly_mission(args: Args) -> int:
     flown = None
     if many:
         pilots = [] if args.planner != "policy" else policies if policy is None else [policy]
-        flown = judged(course, order, fly_all(course, weather, args.planner, pilots, seed, shield))
+        every = fly_all(course, weather, args.planner, pilots, seed, shield, args.explore)
+        flown = judged(course, order, every)
         flight = flown.flights[flown.shown].flight
     elif policy is not None:
         train = partial(_train, args, course, order, folder, seed, shield)

@@ -94,17 +94,20 @@ def fly_mpc(course: Course, weather: Weather, seed: int, shield: bool) -> Distur
 
 def fly_all(
     course: Course, weather: Weather, planner: str, policies: Sequence[TrainedPolicy], seed: int,
-    shield: bool,
+    shield: bool, explore: bool,
 ) -> DisturbedFlights:  # fmt: skip
     """Flies a mission as often as is asked for.
 
     Args:
         planner: policy, mpc or guidance. policies: one for all segments, or one each.
-        shield: whether they fly with the shield.
+        shield: whether they fly with the shield. explore: whether policies explore where they get
+            no nearer.
     """
     if planner == "mpc":
         return fly_mpc(course, weather, seed, shield)
-    pilot: Pilot = by_policies(policies) if planner == "policy" else Simulations.law
+    pilot: Pilot = Simulations.law
+    if planner == "policy":
+        pilot = by_policies(policies, explore=explore)
     observation = policies[0].observation if planner == "policy" else "guided"
     rules = Rules(observation, shield=shield)
     return fly_batch(course, pilot, rules, weather.disturbance, weather.flights, seed)
