@@ -293,6 +293,7 @@ def draw(path: Path, found: Sequence[Row]) -> None:
     made = figure(12.5, 13.0)
     grid: Any = made.subplots(4, 4, gridspec_kw={"height_ratios": [3, 2, 3, 2]})
     names = list(dict.fromkeys(row["pilot"] for row in found))
+    floor = min(0.9, min(row["home"] for row in found) - 0.02)
     others = iter(("#56B4E9", "#F0E442", "#D55E00"))
     styles = {name: STYLES.get(name) or (next(others), name) for name in names}
     for place, (kind, (title, unit, _)) in enumerate(KINDS.items()):
@@ -305,7 +306,7 @@ def draw(path: Path, found: Sequence[Row]) -> None:
             times = [row["time"] if row["home"] >= 0.5 else np.nan for row in these]
             time.plot(x, times, **style)
         success.set_title(title, **LABEL)
-        success.set_ylim(0.4, 1.02)
+        success.set_ylim(floor, 1.0 + 0.05 * (1.0 - floor))
         time.set_ylim(1.0, 1.6)
         time.set_xlabel(unit, **LABEL)
         for axes in (success, time):
