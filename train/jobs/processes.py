@@ -94,6 +94,8 @@ def ended(programs: Sequence[Program], timeout: float) -> list[Program]:
 def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: str) -> None:
     """Becomes the program, in the process forked from the server."""
     os.setsid()
+    # A shell's background job ignores Ctrl-C, and what it starts would ignore `interrupt`.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     with open(output, "w") as file:
         os.dup2(file.fileno(), 1)
