@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ import tyro
 from benchmarks.common import Row, grouped, in_processes, save, segment_course
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
-from mjcollect.envs.disturbed import ENDS, by_policies
+from mjcollect.envs.disturbed import ENDS, Pilot, by_policies
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import MovingBoxes
@@ -63,7 +63,6 @@ TOLD = "told "  # This before a pilot's name says that it knows what disturbs it
 BARE = "bare "  # This before a policy's name says that it never explores.
 NOT_LEARNED = ("law", "adaptive law", "mpc")
 FIRST = HELD_OUT + 10_000  # no policy was chosen by these segments either
-Pilot = Callable[[Simulations], np.ndarray]  # actions (count, 3), |a| <= 1
 
 
 @dataclass(frozen=True)

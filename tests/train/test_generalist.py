@@ -88,14 +88,7 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
             yield updates
 
     monkeypatch.setattr(generalist.Trainer, "run", counted)
-    built = generalist._build(RunFolder(finished), args_of(out))
-
-    def link(folder, args):
-        if not (folder.path / "pool").exists():
-            (folder.path / "pool").symlink_to(finished / "pool")
-        return built
-
-    monkeypatch.setattr(generalist, "_build", link)
+    share_pool(finished, out, monkeypatch)
     monkeypatch.setattr(training_loop, "stop_on_ctrl_c", Pressed)
     codes = [generalist.main(["--out", str(out), *TINY])]
     codes += [generalist.main(["--out", str(out), "--resume", *TINY]) for _ in range(3)]
@@ -107,28 +100,10 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
 def test_learns_with_shards_and_goes_on_after_a_stop(finished, tmp_path, monkeypatch):
     """Two processes that simulate; stopped in the middle, the same policy comes out."""
     more = [*TINY, "--shards", "2", "--updates", "32", "--least-updates", "32", "--eval-every", "8"]
-    built = generalist._build(RunFolder(finished), args_of(tmp_path))
-
-    def link(folder, args):
-        if not (folder.path / "pool").exists():
-            (folder.path / "pool").symlink_to(finished / "pool")
-        return built
-
-    monkeypatch.setattr(generalist, "_build", link)
+    share_pool(finished, tmp_path, monkeypatch)
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert generalist.main(["--out", str(whole), *more]) == 0
-    run = generalist.Trainer.run
-
-    def cut(trainer):
-        for updates in run(trainer):
-            yield updates
-            if updates == 20:  # after the checkpoint at 16
-                raise KeyboardInterrupt
-
-    monkeypatch.setattr(generalist.Trainer, "run", cut)
-    with contextlib.suppress(KeyboardInterrupt):
-        generalist.main(["--out", str(parts), *more])
-    monkeypatch.setattr(generalist.Trainer, "run", run)
+    cut_short(["--out", str(parts), *more], monkeypatch)
     assert generalist.main(["--out", str(parts), *more, "--resume"]) == 0
     same(whole, parts)
 
@@ -141,14 +116,7 @@ def test_learns_from_lessons_and_goes_on_after_a_stop(finished, tmp_path, monkey
         monkeypatch.setattr(lessons, name, 1)
     more = [*TINY, "--updates", "32", "--least-updates", "32", "--flown", "last"]
     taught = [*more, "--lessons", "60", "--imitation", "5"]
-    built = generalist._build(RunFolder(finished), args_of(tmp_path))
-
-    def link(folder, args):
-        if not (folder.path / "pool").exists():
-            (folder.path / "pool").symlink_to(finished / "pool")
-        return built
-
-    monkeypatch.setattr(generalist, "_build", link)
+    share_pool(finished, tmp_path, monkeypatch)
     whole, parts, plain = (tmp_path / name for name in ("whole", "parts", "plain"))
     assert generalist.main(["--out", str(whole), *taught]) == 0
     assert generalist.main(["--out", str(plain), *more]) == 0
@@ -157,27 +125,46 @@ def test_learns_from_lessons_and_goes_on_after_a_stop(finished, tmp_path, monkey
     ).read_bytes()
     files = sorted((whole / "lessons").iterdir())
     assert len(files) >= 1
-    give, run = generalist.give_lessons, generalist.Trainer.run
+    give = generalist.give_lessons
 
     def stop_at_once(*args):
         yield next(give(*args)) * 0
-
-    def cut(trainer):
-        for updates in run(trainer):
-            yield updates
-            if updates == 20:  # after the checkpoint at 16
-                raise KeyboardInterrupt
 
     monkeypatch.setattr(generalist, "give_lessons", stop_at_once)
     assert generalist.main(["--out", str(parts), *taught]) == 130
     assert "--resume" in capsys.readouterr().err
     monkeypatch.setattr(generalist, "give_lessons", give)
-    monkeypatch.setattr(generalist.Trainer, "run", cut)
-    with contextlib.suppress(KeyboardInterrupt):
-        generalist.main(["--out", str(parts), *taught, "--resume"])
-    monkeypatch.setattr(generalist.Trainer, "run", run)
+    cut_short(["--out", str(parts), *taught, "--resume"], monkeypatch)
     assert generalist.main(["--out", str(parts), *taught, "--resume"]) == 0
     same(whole, parts)
+
+
+def share_pool(finished, out, monkeypatch):
+    """Lets further runs use the pool of the finished one."""
+    built = generalist._build(RunFolder(finished), args_of(out))
+
+    def link(folder, args):
+        if not (folder.path / "pool").exists():
+            (folder.path / "pool").symlink_to(finished / "pool")
+        return built
+
+    monkeypatch.setattr(generalist, "_build", link)
+
+
+def cut_short(argv, monkeypatch):
+    """Starts the program and ends it after 20 updates, when it has a checkpoint of 16."""
+    run = generalist.Trainer.run
+
+    def cut(trainer):
+        for updates in run(trainer):
+            yield updates
+            if updates == 20:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(generalist.Trainer, "run", cut)
+    with contextlib.suppress(KeyboardInterrupt):
+        generalist.main(argv)
+    monkeypatch.setattr(generalist.Trainer, "run", run)
 
 
 def same(one, other):
