@@ -28,13 +28,16 @@ from train.generalist import HELD_OUT
 from train.jobs.processes import importing_pool
 
 FIRST = HELD_OUT + 60_000  # no other benchmark flies these segments
-# Slots for which a command is held before braking, and shares of it beside full braking; 1 is the
-# command itself, which is not allowed by then, and stands for none.
-MANOEUVRES: dict[str, tuple[tuple[int, ...], tuple[float, ...]]] = {
-    "full braking": ((0,), (1.0,)),
-    "and partial braking": ((0,), (0.75, 0.5, 0.25)),
-    "and the command held on, as round a corner": ((0, 2, 4, 8), (1.0,)),
-    "all of these (ours)": ((0, 2, 4, 8), (0.75, 0.5, 0.25)),
+# Slots for which a command is held before braking, shares of it beside full braking (1 is the
+# command itself, which is not allowed by then, and stands for none), and at how many obstacles it
+# is deflected.
+MANOEUVRES: dict[str, tuple[tuple[int, ...], tuple[float, ...], int]] = {
+    "full braking": ((0,), (1.0,), 0),
+    "and partial braking": ((0,), (0.75, 0.5, 0.25), 0),
+    "and the command held on, as round a corner": ((0, 2, 4, 8), (1.0,), 0),
+    "both of these": ((0, 2, 4, 8), (0.75, 0.5, 0.25), 0),
+    "and deflected at one obstacle": ((0, 2, 4, 8), (0.75, 0.5, 0.25), 1),
+    "and at a second one (ours)": ((0, 2, 4, 8), (0.75, 0.5, 0.25), 2),
 }
 
 
@@ -52,7 +55,9 @@ def fly_segments(args: Args, name: str) -> list[Flight]:
     """Flies every segment by one set of manoeuvres, in a process that has not flown before."""
     # The module; the package's attribute of that name is the function.
     rule: Any = importlib.import_module("mjcollect.flight.shield")
-    rule.HELD, rule.BENT = MANOEUVRES[name]  # the first flight compiles them into the code
+    rule.HELD, rule.BENT, rule.TIMES = MANOEUVRES[
+        name
+    ]  # the first flight compiles them into the code
     policy = TrainedPolicy.load(weights_file(args.policy))
     numbers = range(FIRST, FIRST + args.segments)
     courses = (segment_course(0, n, layout) for layout in LAYOUTS for n in numbers)

@@ -12,7 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.observation import FRAMED, OBSERVATIONS, Parts, State
+from mjcollect.envs.observation import (
+    FRAMED,
+    OBSERVATIONS,
+    SHOW_DISTURBANCES,
+    Parts,
+    State,
+    places,
+)
 from mjcollect.envs.reward import PRESETS
 from mjcollect.envs.targets import Targets
 from mjcollect.flight import disturbance_estimate as air
@@ -21,7 +28,7 @@ from mjcollect.flight.contact import BOUNDS_TOLERANCE, MARGIN, Slot, judge
 from mjcollect.flight.disturbance import REST_SPEED, Disturbances
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.disturbed_shield import Margins, disturbed_shield
-from mjcollect.flight.moving_boxes import SHOWN, SOON
+from mjcollect.flight.moving_boxes import SHOWN, SOON, STEPS
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
@@ -275,11 +282,19 @@ class Episodes:
         """Returns the observation's named parts, each (N, d), or only their rows `which` (n,)."""
         state = State(
             self.q, self.seen_v, self.approach, self.targets.items, self.collected, self.known,
-            self.asked, self._movers,
+            self.asked, self._movers, self._met(),
         )  # fmt: skip
         if which is None:
             return self._observation(self.seen_world, state)
         return self._observation(self.seen_world.rows(which), state.rows(which))
+
+    def _met(self) -> Array:
+        """Returns what `MovingBoxes.met` shows of where each body may fly."""
+        shows = self.rules.observation in SHOW_DISTURBANCES
+        if self.disturbances is None or self.disturbances.level.mover == 0.0 or not shows:
+            return np.zeros((self.count, SHOWN, 2, 4))
+        ways = places(self.seen_world, self.q, self.seen_v, self.approach, STEPS)
+        return self.disturbances.movers.met(ways)
 
     @property
     def next_cost(self) -> Array:

@@ -61,12 +61,13 @@ class State(NamedTuple):
     known: Estimate
     asked: Array
     movers: Array
+    met: Array
 
     def rows(self, which: Indices) -> State:
         """Returns the state of the simulations `which` (n,) only."""
         known = Estimate._make(part[which] for part in self.known)
         parts = self._replace(approach=self.approach.rows(which), known=known)
-        arrays = ("q", "v", "items", "collected", "asked", "movers")
+        arrays = ("q", "v", "items", "collected", "asked", "movers", "met")
         return parts._replace(**{name: getattr(self, name)[which] for name in arrays})
 
 
@@ -223,12 +224,14 @@ def paper(world: World, state: State) -> Parts:
 
 
 def robust(world: World, state: State) -> Parts:
-    """Returns `path`, estimates of what disturbs and how sure they are, and moving boxes.
+    """Returns `path`, estimates of what disturbs and how sure they are, moving boxes and bounds.
 
     Vectors are in the frame of the path. The a_max in whose unit they are is what is left of it.
     """
     known, frame = state.known, state.approach.frame
     turned = np.einsum("n...j,nkj->n...k", state.movers, frame)
+    met = np.einsum("n...j,nkj->n...k", state.met[..., :3], frame)
+    met = np.concatenate([met, state.met[..., 3:]], axis=-1)
     doubts = (
         known.gain,
         known.late / world.slot,
@@ -241,7 +244,39 @@ def robust(world: World, state: State) -> Parts:
         "push": np.einsum("nj,nkj->nk", known.push / world.a_max, frame),
         "doubts": np.concatenate(doubts, axis=1),
         "movers": turned.reshape(len(turned), math.prod(turned.shape[1:])),
+        "met": met.reshape(len(met), math.prod(met.shape[1:])),
+        "bounds": nearest_bounds(world, state.q, frame),
     }
+
+
+def nearest_bounds(world: World, q: Array, frame: Array) -> Array:
+    """Returns closeness times direction of the two nearest bounds, in frames (N, 3, 3)."""
+    gaps = np.concatenate([q - world.bounds[:, 0], world.bounds[:, 1] - q], axis=1)
+    first = np.argsort(gaps, axis=1, kind="stable")[:, :2]
+    gap = np.maximum(np.take_along_axis(gaps, first, axis=1), 0.0)
+    side = np.where(first < 3, -1.0, 1.0) / (1.0 + gap / REACH)
+    axes = np.take_along_axis(frame, (first % 3)[:, None, :], axis=2)  # (N, 3, 2)
+    return np.asarray((side[:, None] * axes).transpose(0, 2, 1).reshape(len(q), 6))
+
+
+def places(world: World, q: Array, v: Array, approach: Approach, times: Array) -> Array:
+    """Returns where a body would be after `times` (T,) s, (N, 2, T, 3) m.
+
+    First it would fly along its path as fast as it can, and then as it flies now.
+    """
+    marks = np.concatenate([np.zeros((len(q), 1, 3)), approach.ahead, approach.offset[:, None]], 1)
+    pieces = np.diff(marks, axis=1)
+    size = np.maximum(np.linalg.norm(pieces, axis=2), 1e-9)
+    a_max, v_max = world.a_max, world.v_max
+    speed = np.clip(approach.closing, 0.0, v_max[:, 0])[:, None]
+    faster = np.minimum(times, (v_max - speed) / a_max)  # (N, T) s, how long it accelerates
+    gone = speed * times + a_max * faster * (times - faster / 2)
+    along = np.zeros((len(q), len(times), 3))
+    for k in range(pieces.shape[1]):
+        share = np.clip(gone / size[:, k : k + 1], 0.0, 1.0)
+        gone = np.maximum(gone - size[:, k : k + 1], 0.0)
+        along += share[..., None] * pieces[:, k : k + 1]
+    return np.asarray(q[:, None, None] + np.stack([along, v[:, None] * times[:, None]], axis=1))
 
 
 OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mjcollect.flight.contact import MARGIN
+from mjcollect.flight.deflection import TIMES, deflected
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.projection import project_row
@@ -213,6 +214,26 @@ def disturbed_row(
     braking, tried, raw, chosen = np.empty(3), np.empty(3), np.empty(3), a.copy()
     braking_row(world, w, v, braking)
     changed = False
+    moving, drift = margins.boxes[i], margins.ahead[i, :, 1] / margins.steps[1]
+    reach, spread = np.empty(len(times)), margins.spread[i, 0] * LAG
+    tried[:] = a
+    for _ in range(TIMES):
+        count = manoeuvre_row(world, w, margins.braking[i, 0], q, v, tried, 0, path, times)
+        for p in range(count):
+            margin = margins.blur[i, 0] + spread * times[min(p, count - len(RESTS) - 1)]
+            reach[p] = world.radius[w, 0] + max(margin * asked, SAG)
+        if not deflected(
+            world, w, v, margins.braking[i, 0], path, times, reach, count, moving, drift, tried
+        ):
+            break
+        room, more = best_backup(world, w, margins, i, q, v, tried, asked, best, path, times)
+        if room > best:
+            best, slots, changed = room, more, True
+            chosen[:] = tried
+        if best >= asked:
+            a[:] = chosen
+            held[:] = chosen
+            return slots, best, changed
     for n in range(len(BENT) + 8):
         if n < len(BENT):
             for k in range(3):

@@ -23,6 +23,7 @@ LEAST_WAY = 200.0  # metres; shorter segments are given no box
 SIGHT = 150.0  # metres from its surface within which a box is seen
 SHOWN = 2  # So many boxes are shown to a policy, the nearest ones.
 STEPS = np.arange(48) / 8  # A box's motion is foretold for these seconds.
+MET = 20.0  # metres; a box that a body passes at this distance shows half as much.
 SOON = (0.5, 1.5)  # A policy is shown where a box will be in so many seconds.
 
 
@@ -125,6 +126,34 @@ class MovingBoxes:
             moved = q[:, None] + seconds * (v[:, None] - velocity)
             out[:, :shown, k] = np.where(there, chosen(self._near(moved, boxes)), 0.0)
         out[:, :shown, -1] = np.where(there, chosen(velocity) / v_max[:, None], 0.0)
+        return out
+
+    def met(self, places: Array) -> Array:
+        """Returns (N, SHOWN, H, 4) of where bodies would come nearest to boxes, nearest box first.
+
+        It holds the direction of the box's centre then, times a closeness, and e^(-t / SOON[-1]) at
+        that time t. Closeness is 1 inside of a box and at its surface, and 1/2 at MET from it.
+        Without a box all is zero.
+
+        Args:
+            places: (N, H, T, 3) m, where bodies would be after each of STEPS, in H manners.
+        """
+        shown = min(SHOWN, self.speed.shape[1])
+        out = np.zeros((len(places), SHOWN, places.shape[1], 4))
+        centre = (self.centres()[:, :, None] + self.ahead())[:, :, None]
+        seen, half = places[:, None] - centre, self.half[:, :, None, None]
+        scaled = seen / np.maximum(half, 1e-9)  # of a box that is not there half is 0
+        first = np.linalg.norm(scaled, axis=4).argmin(axis=3)[..., None]
+        seen = np.take_along_axis(seen, first[..., None], axis=3)[..., 0, :]
+        half = half[..., 0, :]
+        gap = np.linalg.norm(np.clip(seen, -half, half) - seen, axis=3, keepdims=True)
+        size = np.maximum(np.linalg.norm(seen, axis=3, keepdims=True), 1e-9)
+        way = -seen / size / (1.0 + gap / MET)
+        found = np.concatenate([way, np.exp(-STEPS[first] / SOON[-1])], axis=3)
+        found = found * (self.speed > 0.0)[:, :, None, None]
+        gap = np.where(self.speed > 0.0, gap.min(axis=(2, 3)), np.inf)
+        order = np.argsort(gap, axis=1, kind="stable")[:, :shown]
+        out[:, :shown] = np.take_along_axis(found, order[..., None, None], axis=1)
         return out
 
     @staticmethod

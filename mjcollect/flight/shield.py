@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjcollect.flight.deflection import TIMES, deflected
 from mjcollect.flight.projection import project_row
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import box_offset, segment_gap, slab
@@ -127,7 +128,20 @@ def shield_row(
     if more >= 0:
         held[:] = a
         return more, False
-    braking, tried = np.empty(3), np.empty(3)
+    braking, tried, none = np.empty(3), a.copy(), np.empty((0, 3))
+    times, reach = np.zeros(len(path)), np.full(len(path), world.radius[w, 0] + MARGIN)
+    for _ in range(TIMES):
+        count = roll_row(world, w, q, v, tried, 0, path)
+        if not deflected(
+            world, w, v, world.a_max[w, 0], path, times, reach, count, world.boxes[w, :0], none,
+            tried,
+        ):  # fmt: skip
+            break
+        more = backup_row(world, w, q, v, tried, path)
+        if more >= 0:
+            a[:] = tried
+            held[:] = a
+            return more, True
     braking_row(world, w, v, braking)
     for share in BENT:
         for k in range(3):

@@ -7,7 +7,7 @@ import pytest
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Episodes, Rules
-from mjcollect.envs.observation import NEAREST_BOXES, OBSERVATIONS
+from mjcollect.envs.observation import NEAREST_BOXES, OBSERVATIONS, REACH, places
 from mjcollect.flight.world import World
 from mjcollect.scene.scene import Scene
 
@@ -285,3 +285,30 @@ def test_p_of_a_segment_knows_the_items_before_it(courses):
     """In the mission its policy sees what it saw in training."""
     course = Course.segment(courses[1, 2].scene, (1, 0), 1)
     assert observed(course, "paper", *states(3))["p"].tolist() == [[0.0, 1.0]] * 3
+
+
+def test_the_two_nearest_bounds_are_shown_in_the_path_s_frame(courses):
+    course, (q, v) = courses[0, 1], states(40, seed=3)
+    episodes = Episodes([course], len(q), Rules("robust"))
+    episodes.reset(np.arange(len(q)), q, v)
+    seen = episodes.observe()["bounds"].reshape(len(q), 2, 3)
+    for k in range(len(q)):
+        walls = [(q[k, a] - LOW[a], -np.eye(3)[a]) for a in range(3)]
+        walls += [(HIGH[a] - q[k, a], np.eye(3)[a]) for a in range(3)]
+        for shown, (gap, out) in zip(
+            seen[k], sorted(walls, key=lambda wall: wall[0]), strict=False
+        ):
+            back = episodes.approach.frame[k].T @ shown
+            np.testing.assert_allclose(back, out / (1 + gap / REACH), rtol=0, atol=1e-12)
+
+
+def test_a_body_is_foretold_along_its_path_at_full_speed_and_along_its_velocity():
+    goal, times = np.array([390.0, 10.0, 35.0]), np.array([0.0, 1.0, 2.5, 4.0, 60.0])
+    course = Course.segment(Scene("room", 0, [LOW, HIGH], [10, 10, 35], [goal], []), (0,), 0)
+    q, v = np.array([[20.0, 10, 35]]), np.array([[0.0, 3, 0]])
+    episodes = Episodes([course], 1, Rules("guided"))
+    episodes.reset(np.array([0]), q, v)
+    along, straight = places(episodes.world, q, v, episodes.approach, times)[0]
+    # From rest at 20 m/s² to 50 m/s, after 62.5 m, and no farther than the goal 370 m ahead.
+    np.testing.assert_allclose(along[:, 0] - 20, [0, 10, 62.5, 137.5, 370], atol=1e-3)
+    np.testing.assert_allclose(straight, q + times[:, None] * v, atol=1e-12)

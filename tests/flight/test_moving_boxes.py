@@ -7,7 +7,16 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
 from mjcollect.flight.disturbance import Disturbance, Disturbances
-from mjcollect.flight.moving_boxes import LEAST_WAY, SIDE, SIGHT, SOON, SWING, MovingBoxes
+from mjcollect.flight.moving_boxes import (
+    LEAST_WAY,
+    MET,
+    SIDE,
+    SIGHT,
+    SOON,
+    STEPS,
+    SWING,
+    MovingBoxes,
+)
 from mjcollect.planners.mpc import Mpc
 from mjcollect.scene.scene import Scene
 
@@ -163,3 +172,18 @@ def test_the_mpc_keeps_from_a_box_that_it_sees(course, sees):
         ended = bool(outcome.terminated[0] | outcome.truncated[0])
     assert hit != sees
     assert bool(outcome.success[0]) == sees
+
+
+def test_where_a_body_would_come_nearest_to_a_box_is_foretold():
+    movers = MovingBoxes(1, boxes=2)
+    movers.path[0, 0] = [[400.0, 0, 500], [400, 1000, 500]]  # along y, and one that is not there
+    movers.half[0], movers.phase[0, 0], movers.speed[0, 0] = 20.0, 0.25, 10.0  # now at y = 500
+    here, velocity = np.array([300.0, 490.0, 500.0]), np.array([40.0, 10.0, 0.0])
+    ways = here + STEPS[:, None] * np.array([velocity, [0.0, 0.0, 0.0]])[:, None]
+    met = movers.met(ways[None])
+    # As fast across as the box it passes 10 m below its centre, so through it, after 2.5 s.
+    np.testing.assert_allclose(met[0, 0, 0], [0, 1, 0, np.exp(-2.5 / SOON[-1])], atol=1e-9)
+    # At rest it is nearest now, 80 m from the surface.
+    way = np.array([100.0, 10.0, 0.0]) / np.hypot(100.0, 10.0) / (1.0 + 80.0 / MET)
+    np.testing.assert_allclose(met[0, 0, 1], [*way, 1.0], atol=1e-9)
+    assert not met[0, 1].any()
