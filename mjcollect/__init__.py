@@ -22,7 +22,7 @@ _HOME = {
     "Simulations": "mjcollect.envs.batch",
     "TrainedPolicy": "mjcollect.learning.policy",
     "Trainer": "mjcollect.learning.trainer",
-    "Trajectory": "mjcollect.trajectory",
+    "Trajectory": "mjcollect.scene.trajectory",
     "asset_path": "mjcollect.scene.assets",
     "fly_disturbed": "mjcollect.envs.disturbed",
     "load": "mjcollect.envs.dm_env",

@@ -24,7 +24,7 @@ from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-6  # Round-off may cost as much as this in m, m/s, m/s^2 and s.

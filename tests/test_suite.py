@@ -33,7 +33,7 @@ DISTURBED = Disturbance(
     wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5, mover=10.0, boxes=2, turned=30.0
 )
 # Elements that no flight changes, and why:
-ONLY_DISTURBED = ("push", "doubts", "movers")  # calm air; see the disturbed flights below
+ONLY_DISTURBED = ("push", "doubts", "movers", "met")  # calm air; see the disturbed flights below
 # A segment has one target: the way on from there is always the same, which `path` sees turn with
 # its frame, and other items are not collected.
 OF_ONE_TARGET = {("guided", "next_direction"): [1, 1, 1], ("paper", "p"): [0, 1]}

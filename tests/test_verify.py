@@ -8,7 +8,7 @@ import pytest
 from mjcollect.geometry.boxes import segment_box_distance
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import Violation, _clearance, verify
 
 STEP, SLOT_ROWS = 0.02, 10

@@ -14,6 +14,7 @@ PROGRAMS = {
     "scene": "mjcollect.scene.__main__",
     "generate": "mjcollect.generate",
     "render": "mjcollect.render.__main__",
+    "export": "mjcollect.export.__main__",
 }
 
 

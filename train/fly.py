@@ -29,6 +29,7 @@ from mjcollect.planners.mpc import Mpc
 from mjcollect.planners.plan import Planner, fly_planner
 from mjcollect.planners.reference.reference import NoFlight, Reference
 from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
 from train import segment
 from train.support.arguments import check_least
@@ -135,6 +136,7 @@ def fly_mission(args: Args) -> int:
         method = order_label(args.order or "lkh")
         training_results = [None] * (len(order) + 1)
         shield = args.shield
+    check_place(scene.origin)
     weather = Weather.of(args.disturbance, args.flights)
     many = weather.flights > 1 or weather.disturbed or bool(scene.moving)
     if many and args.planner == "reference":

@@ -19,6 +19,7 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
 from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
 from train.jobs.processes import warm_up
 from train.jobs.workers import (
@@ -78,6 +79,7 @@ def train_mission(args: Args) -> int:
     _check(args)
     scene = with_slot(Scene.find(args.scene), args.slot)
     check_still(scene)
+    check_place(scene.origin)
     args, policy = _begin_from(args)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):

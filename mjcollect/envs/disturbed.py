@@ -27,7 +27,7 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
-from mjcollect.trajectory import Recorder
+from mjcollect.scene.trajectory import Recorder
 
 HOME, STANDING, MOVING = "home", "standing box", "moving box"
 OUTSIDE, LATE = "out of bounds", "too late"

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.dm_env import FlightTask, Physics, make_environment
-from mjcollect.trajectory import Recorder, Trajectory
+from mjcollect.scene.trajectory import Recorder, Trajectory
 
 SILENT = 5.0  # A flight that takes longer than this (s) shows a progress bar.
 Policy = Callable[[np.ndarray], np.ndarray]

@@ -9,7 +9,7 @@ import numpy as np
 
 from mjcollect.scene.order import DEPOT, node_name
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 
 REST_SPEED = 1e-6  # A UAV at this speed (m/s) or below has stopped.
 

@@ -28,7 +28,7 @@ from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import SHIELD_FILE, Trajectory, load_shield
+from mjcollect.scene.trajectory import SHIELD_FILE, Trajectory, load_shield
 
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
 LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).

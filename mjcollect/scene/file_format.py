@@ -35,6 +35,14 @@ class _MovingBox(BaseModel):
     speed: FiniteFloat
 
 
+class _Origin(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    latitude: FiniteFloat
+    longitude: FiniteFloat
+    altitude: FiniteFloat = 0.0
+    crs: Annotated[str, Field(max_length=1000)] = ""
+
+
 class _SceneFile(BaseModel):
     """Lists the JSON document key for key; every further rule is in `Scene._check`."""
 
@@ -53,6 +61,7 @@ class _SceneFile(BaseModel):
     uav_radius: FiniteFloat = 0.5
     physics_step: FiniteFloat = 0.02
     moving: list[_MovingBox] = []
+    origin: _Origin | None = None
 
 
 def read_text(path: str | os.PathLike[str]) -> str:

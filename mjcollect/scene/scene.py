@@ -23,6 +23,7 @@ from mjcollect.geometry.enclosure import Space, walled_in
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.file_format import SceneError, parse, read_text
 from mjcollect.scene.moving import MovingBox
+from mjcollect.scene.place import Origin
 
 MAX_EXTENT = 1e5  # metres; in wider bounds 1e-6 m is no longer resolved along a mission
 MAX_SUBSTEPS = 1000  # A slot has at most so many physics steps.
@@ -57,6 +58,7 @@ class Scene:
         uav_radius: radius of the body; no point of it may touch a box.
         physics_step: MuJoCo's time step; it divides the slot.
         moving: boxes that move along paths; documents like those of the file become `MovingBox`.
+        origin: place on Earth of the point [0, 0, 0], if any; a document becomes an `Origin`.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Scene:
     uav_radius: float = 0.5
     physics_step: float = 0.02
     moving: tuple[MovingBox, ...] = ()
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -87,6 +90,7 @@ class Scene:
         for limit in POSITIVE_LIMITS:
             object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
         object.__setattr__(self, "moving", tuple(map(_moving_box, self.moving)))
+        object.__setattr__(self, "origin", Origin.of(self.origin))
         self._check()
 
     # Derived values
@@ -132,7 +136,7 @@ class Scene:
         return cls(**parse(text))
 
     def to_dict(self) -> dict[str, Any]:
-        """Returns the JSON document of the scene, with all keys but an empty `moving`."""
+        """Returns the JSON document of the scene, without keys that are not used."""
         document: dict[str, Any] = {
             "name": self.name,
             "seed": self.seed,
@@ -143,7 +147,8 @@ class Scene:
         }
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
         moving = [box.to_dict() for box in self.moving]
-        return document | ({"moving": moving} if moving else {})
+        document |= {"moving": moving} if moving else {}
+        return document | ({} if self.origin is None else {"origin": self.origin.to_dict()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the scene file, from which `load` reads an equal scene."""

@@ -25,7 +25,7 @@ from mjcollect.flight.contact import MARGIN
 from mjcollect.flight.disturbance import REST_SPEED, Disturbance
 from mjcollect.scene.air import Air
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import DISTURBED_MARGIN, DISTURBED_REST, verify
 
 WINDY = Disturbance(wind=3.0, gusts=1.0, gain=0.1, delay=0.04, noise=0.2)

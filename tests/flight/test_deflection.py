@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from crowds import RADIUS
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from test_shield import A_MAX, V_MAX, world_of
@@ -62,6 +62,7 @@ def test_in_a_corner_of_two_walls_both_are_kept_clear_of():
 vectors = arrays.arrays(float, 3, elements=st.floats(-1, 1))
 
 
+@settings(deadline=None)
 @given(vectors, vectors, vectors, st.floats(-1, 200))
 def test_a_deflected_command_is_no_stronger_and_leads_less_towards_it(v, a, away, gap):
     assume(np.linalg.norm(away) > 0.1)

@@ -21,7 +21,7 @@ from mjcollect.render.track_figures import plot_tracks
 from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 
 BOX = MovingBox((20.0, 20.0, 20.0), ((300.0, 100.0, 60.0), (300.0, 250.0, 60.0)), 5.0)
 

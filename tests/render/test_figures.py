@@ -21,7 +21,7 @@ from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 
 BOXES = [
     [[100, 200, 0], [180, 260, 90]],

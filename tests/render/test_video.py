@@ -24,7 +24,7 @@ from mjcollect.render.settings import VideoSettings
 from mjcollect.render.video import RenderError, render_in_child, render_run
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 
 EYE = np.array([10.0, -20.0, 30.0])
 GL_PROBE = (

@@ -14,7 +14,7 @@ from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.scene.air import Air
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify_run
 from train.fly import main as fly
 from train.mission import main as train_mission

@@ -15,7 +15,7 @@ import pytest
 from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.bounds import mission_bound
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
 from train.fly import scene_difference

@@ -19,7 +19,7 @@ from mjcollect.learning.ddpg import make_actor
 from mjcollect.learning.policy import SHIPPED, TrainedPolicy, policy_digest, weights_file
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
 from train.generalist import HELD_OUT

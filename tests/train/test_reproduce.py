@@ -14,7 +14,7 @@ import pytest
 from mjcollect.guidance.travel_times import travel_times
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify
 from train import reproduce
 from train.reproduction import prepare, running

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from reproduction_cells import SIZES, plan_of_all, synthetic
 
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from train.reproduction.figures import draw, flights_of
 from train.reproduction.page import page
 from train.reproduction.plan import Sizes, make_plan

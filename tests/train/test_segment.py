@@ -16,7 +16,7 @@ from mjcollect.envs.recording import fly, fly_law
 from mjcollect.learning.policy import TrainedPolicy
 from mjcollect.scene.bounds import segment_bound
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory, load_shield
+from mjcollect.scene.trajectory import Trajectory, load_shield
 from mjcollect.verify import verify
 from train.segment import main
 

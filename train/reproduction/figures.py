@@ -29,7 +29,7 @@ from mjcollect.render.time_figures import (
 )
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import Trajectory
+from mjcollect.scene.trajectory import Trajectory
 from train.reproduction.paper import (
     DDPG,
     LKH_DDPG,

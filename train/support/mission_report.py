@@ -10,6 +10,8 @@ from typing import Any
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import Flight
+from mjcollect.export.formats import FORMATS
+from mjcollect.export.mission import FlownMission
 from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
@@ -18,7 +20,7 @@ from mjcollect.scene.air import Air
 from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.scene.order import node_name, tour_segments
 from mjcollect.scene.scene import Scene
-from mjcollect.trajectory import SHIELD_FILE, save_shield, shield_intervals
+from mjcollect.scene.trajectory import SHIELD_FILE, save_shield, shield_intervals
 from mjcollect.verify import DISTURBED_REST, verify
 from train.support.command_line import say
 from train.support.markdown import markdown_table
@@ -94,7 +96,10 @@ def write_mission(
     folder: RunFolder, scene: Scene, result: dict[str, Any], flight: Flight, *, plots: bool,
     air: Air | None = None,
 ) -> None:  # fmt: skip
-    """Writes trajectory.csv, shield.csv, the plots if they are wanted, and last mission.json."""
+    """Writes trajectory.csv, shield.csv, the plots if they are wanted, and last mission.json.
+
+    A successful calm flight of a scene with an origin is also written for ground stations and maps.
+    """
     write_record(folder, flight)
     if plots:
         rest = REST_SPEED if air is None else DISTURBED_REST
@@ -110,6 +115,10 @@ def write_mission(
         ]
         if rows:
             folder.write("learning.png", lambda part: plot_learning(part, rows))
+    if scene.origin is not None and air is None and result["success"]:
+        mission = FlownMission.of(scene, flight.trajectory, result)
+        for kind in ("plan", "kml", "geojson"):
+            folder.write_text(f"mission.{kind}", FORMATS[kind](mission))
     folder.write_json("mission.json", result)
 
 

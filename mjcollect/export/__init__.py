@@ -1,0 +1,1 @@
+"""Writes flown missions for ground stations and maps."""
