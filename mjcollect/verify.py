@@ -226,7 +226,7 @@ class _Flight:
         v_error = np.abs(np.diff(flown.v, axis=0) - flown.a[:-1] * step).max(axis=1)
         x_error = np.abs(np.diff(flown.x, axis=0) - flown.v[1:] * step).max(axis=1)
         error[1:] = np.maximum(error[1:], np.maximum(v_error, x_error))
-        clearance = _clearance(flown.x, scene.obstacles, scene.uav_radius)
+        clearance = _clearance(flown.x, scene.obstacles, scene.uav_radius, scene.yaw)
         for box in self.moving:
             there = box.box_at(float(flown.t[0]))
             # Seen from the box, which like the body moves straight between rows.
@@ -247,21 +247,30 @@ class _Flight:
                 self.add(kind, rows.start, self.segment_at(rows.start), worst, limit)
 
 
-def _clearance(x: Array, boxes: Array, radius: float) -> Array:
+def _clearance(x: Array, boxes: Array, radius: float, yaws: Array | None = None) -> Array:
     """Returns the least distance (R,) to a box between rows k and k + 1.
 
-    Above `radius` it may be inf instead. The last row stands for itself.
+    Above `radius` it may be inf instead. The last row stands for itself. A box that is turned by a
+    yaw (degrees) about its centre is one that is not, if the flight is turned back about it.
     """
-    start, end = x, np.concatenate([x[1:], x[-1:]])
-    middle, half = (start + end) / 2, np.linalg.norm(end - start, axis=1) / 2
-    least = np.full(len(x), np.inf)
-    for low, high in boxes:
+    least, yaws = np.full(len(x), np.inf), np.zeros(len(boxes)) if yaws is None else yaws
+    for (low, high), yaw in zip(boxes, yaws, strict=True):
+        start = x if yaw == 0.0 else _turned_back(x, (low + high) / 2, float(yaw))
+        end = np.concatenate([start[1:], start[-1:]])
+        middle, half = (start + end) / 2, np.linalg.norm(end - start, axis=1) / 2
         gap = np.maximum(np.maximum(low - middle, middle - high), 0.0)
         near = np.flatnonzero(np.linalg.norm(gap, axis=1) - half < radius)
         if len(near):
             distance = _piece_to_box(start[near], end[near] - start[near], low, high)
             least[near] = np.minimum(least[near], distance)
     return least
+
+
+def _turned_back(x: Array, centre: Array, yaw: float) -> Array:
+    """Returns points (R, 3) turned by minus a yaw (degrees) about the vertical through a point."""
+    away, turn = x - centre, np.exp(-1j * np.radians(yaw))
+    level = (away[:, 0] + 1j * away[:, 1]) * turn
+    return centre + np.stack([level.real, level.imag, away[:, 2]], axis=1)
 
 
 def _piece_to_box(start: Array, step: Array, low: Array, high: Array) -> Array:

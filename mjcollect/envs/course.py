@@ -135,7 +135,7 @@ class Course:
         kinds = (kinds if kind == "spread" else np.zeros(count)).astype(np.intp)
         space = (
             plain(scene.bounds),
-            plain(scene.obstacles),
+            plain(scene.boxes),
             scene.a_max,
             scene.slot,
             scene.uav_radius,

@@ -32,6 +32,7 @@ from mjcollect.flight.moving_boxes import SHOWN, SOON, STEPS
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
+from mjcollect.geometry.turns import joined
 from mjcollect.guidance.approach import Approach
 
 SAVED = (  # These attributes of `Episodes` are an episode's whole state.
@@ -332,7 +333,7 @@ class Episodes:
         movers = self.disturbances.movers
         if self.disturbances.level.mover > 0.0:
             movers.told = self.rules.estimate == "truth"
-            boxes = np.concatenate([self.world.boxes, movers.boxes], axis=1)
+            boxes = joined(self.world.boxes, movers.boxes, axis=1)
             self.seen_world = self.seen_world._replace(boxes=boxes)
             self._movers = movers.seen(self.q, self.seen_v, self.world.v_max)
 

@@ -30,8 +30,8 @@ def geojson(mission: FlownMission) -> dict[str, Any]:
         seconds = round(float(flown.t[row]), 6)
         about = {"kind": "item", "item": node, "visit": visit, "collected": seconds}
         features.append(_feature(item, about))
-    for index, box in enumerate(scene.obstacles):
-        ring = [[place[1], place[0]] for place in mission.corners(box).tolist()]
+    for index, box in enumerate(scene.boxes):
+        ring = [[place[1], place[0]] for place in mission.floor(box).tolist()]
         polygon = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
         about = {"kind": "obstacle", "obstacle": index}
         heights = {"base": float(box[0, 2]), "height": float(box[1, 2])}  # as in OpenStreetMap
@@ -69,14 +69,14 @@ def kml(mission: FlownMission, buildings: bool = True) -> str:
         at = _add(mark, "Point")
         _add(at, "altitudeMode", "absolute")
         _add(at, "coordinates", _text(_coordinates(mission, point)))
-    for index, box in enumerate(mission.scene.obstacles if buildings else ()):
+    for index, box in enumerate(mission.scene.boxes if buildings else ()):
         mark = _add(document, "Placemark")
         _add(mark, "name", f"obstacle {index}")
         _add(mark, "styleUrl", "#obstacle")
         polygon = _add(mark, "Polygon")
         _add(polygon, "extrude", "1")  # down to the ground
         _add(polygon, "altitudeMode", "absolute")
-        roof = mission.corners(box)
+        roof = mission.floor(box)
         roof[:, 2] += box[1, 2] - box[0, 2]
         ring = [[p[1], p[0], p[2]] for p in [*roof.tolist(), roof[0].tolist()]]
         outer = _add(_add(polygon, "outerBoundaryIs"), "LinearRing")

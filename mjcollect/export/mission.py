@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.turns import corners
 from mjcollect.scene.place import Frame
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
@@ -92,7 +93,6 @@ class FlownMission:
         every = np.arange(0, len(self.trajectory), self.scene.substeps)
         return np.union1d(every, [*self.stops, len(self.trajectory) - 1])
 
-    def corners(self, box: Sequence[Sequence[float]] | Array) -> Array:
-        """Returns the floor (4, 3) of a box (2, 3) as places, counterclockwise."""
-        (x0, y0, z0), (x1, y1, _) = np.asarray(box, float).tolist()
-        return self.frame.geographic([[x0, y0, z0], [x1, y0, z0], [x1, y1, z0], [x0, y1, z0]])
+    def floor(self, box: Array) -> Array:
+        """Returns the floor (4, 3) of a box (2 or 3, 3) as places, counterclockwise."""
+        return self.frame.geographic(corners(box)[[0, 4, 6, 2]])

@@ -33,7 +33,7 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
     """
     scene, flown = mission.scene, mission.trajectory
     stops = mission.stops[:-1]
-    rows = thin(flown.x, mission.stops, scene.obstacles, scene.uav_radius, cross_track)
+    rows = thin(flown.x, mission.stops, scene.boxes, scene.uav_radius, cross_track)
     places = mission.frame.geographic(flown.x[rows])
     height = flown.x[rows, 2] - scene.depot[2]
     fastest = np.linalg.norm(flown.v, axis=1)
@@ -48,7 +48,7 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
         number = len(items) + 1
         items.append(_item(number, WAYPOINT, [held, 0, 0, None], places[k], float(height[k])))
     items.append(_item(len(items) + 1, LAND, [0, 0, 0, None], home, 0.0))
-    fence = [[float(place[0]), float(place[1])] for place in mission.corners(scene.bounds)]
+    fence = [[float(place[0]), float(place[1])] for place in mission.floor(scene.bounds)]
     return {
         "fileType": "Plan",
         "version": 1,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
+from mjcollect.geometry.turns import is_near
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
 # Disturbed flights may be so many metres beyond the bounds, since a corner may hold the depot.
@@ -46,10 +47,7 @@ def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
         for k in range(3):
             low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
     for b in range(len(boxes)):  # iteration would forget that boxes are contiguous
-        near = True
-        for k in range(3):
-            near = near and low[k] - radius <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + radius
-        if near:
+        if is_near(low, high, radius, boxes[b]):
             for s in range(len(touch)):
                 touch[s] = touch[s] or segment_gap(path[s], path[s + 1], boxes[b]) < radius
 

@@ -29,6 +29,7 @@ from mjcollect.flight.shield import BENT, HELD, braking_row
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.turns import is_near
 from mjcollect.geometry.vectors import norm
 
 CHANCE = 0.05  # A body that flies a backup to its end strays beyond the margin this often.
@@ -151,10 +152,7 @@ def room_row(
         if room < least:
             return room
     for b in range(len(boxes)):
-        near, reach = True, radius + most
-        for k in range(3):
-            near = near and low[k] - reach <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + reach
-        if near:
+        if is_near(low, high, radius + most, boxes[b]):
             for p in range(1, stopped):
                 margin = max(blur + spread * times[p], SAG)
                 gap = segment_gap(path[p - 1], path[p], boxes[b])

@@ -17,6 +17,7 @@ from mjcollect.flight.projection import project_row
 from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.boxes import box_offset, segment_gap, slab
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.turns import is_near
 from mjcollect.geometry.vectors import norm
 
 OUTSIDE = 1e-6  # metres; rounding leads undisturbed flights no farther beyond a bound
@@ -85,9 +86,8 @@ def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -
             return False
         last[k] = end - path[count - 2, k]
     for b in range(len(boxes)):
-        reach, near = radius + MARGIN, True
-        for k in range(3):
-            near = near and low[k] - reach <= boxes[b, 1, k] and boxes[b, 0, k] <= high[k] + reach
+        reach = radius + MARGIN
+        near = is_near(low, high, reach, boxes[b])
         if not near:
             enter, leave = slab(path[count - 2], last, boxes[b], reach, 1e-12)
             near = enter <= leave and leave >= 0.0 and enter <= 1.0

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mjcollect.geometry.boxes import EMPTY_BOX
 from mjcollect.geometry.compiled import Array, compiled
+from mjcollect.geometry.turns import with_turn
 from mjcollect.scene.scene import Scene
 
 
@@ -17,7 +18,7 @@ class World(NamedTuple):
     """Holds scene constants stacked over simulations, N of them or 1 that all share.
 
     Attributes:
-        bounds: (N, 2, 3) m. boxes: (N, M, 2, 3) m, padded with `EMPTY_BOX`.
+        bounds: (N, 2, 3) m. boxes: (N, M, 2 or 3, 3) m, padded with `EMPTY_BOX`.
         v_max, a_max, radius: (N, 1) in m/s, m/s^2, m.
         slot, step: seconds of a slot and of a physics step, the same for all simulations.
         substeps: physics steps in a slot, n.
@@ -48,9 +49,12 @@ class World(NamedTuple):
                     "run side by side need the same slot and physics step"
                 )
         most = max(len(scene.obstacles) for scene in scenes)
-        boxes = np.broadcast_to(EMPTY_BOX, (len(scenes), max(most, 1), 2, 3)).copy()
+        turn = any(scene.boxes.shape[1] == 3 for scene in scenes)
+        empty = with_turn(EMPTY_BOX) if turn else EMPTY_BOX
+        boxes = np.broadcast_to(empty, (len(scenes), max(most, 1), *empty.shape)).copy()
         for index, scene in enumerate(scenes):
-            boxes[index, : len(scene.obstacles)] = scene.obstacles
+            own = with_turn(scene.boxes) if turn else scene.boxes
+            boxes[index, : len(scene.obstacles)] = own
 
         def column(field: str) -> Array:
             return np.array([[getattr(scene, field)] for scene in scenes])

@@ -1,7 +1,8 @@
-"""Computes distances between points, segments and axis-aligned boxes.
+"""Computes distances between points, segments and boxes.
 
-A box is an array (..., 2, 3) of its minimum and maximum corner, in metres. `EMPTY_BOX` pads arrays
-of scenes with fewer boxes. Compiled functions take one point or segment at a time; the functions
+A box is an array (..., 2, 3) of its minimum and maximum corner, in metres, or (..., 3, 3) if it may
+be turned, see `geometry.turns`; below, (2, 3) stands for both. `EMPTY_BOX` pads arrays of scenes
+with fewer boxes. Compiled functions take one point or segment at a time; the functions
 below them are vectorised over leading axes.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain, rows
+from mjcollect.geometry.turns import along, from_axes, in_axes, turn_back
 from mjcollect.geometry.vectors import norm
 
 FAR = 1e9  # Padding boxes lie this many metres away: finite, so that no inf - inf appears.
@@ -23,7 +25,9 @@ EMPTY_BOX = np.full((2, 3), FAR)
 def box_offset(point: Array, box: Array, offset: Array) -> float:
     """Returns the distance (m) to a box; writes the vector to its nearest point to `offset`."""
     for k in range(3):
-        offset[k] = min(max(point[k], box[0, k]), box[1, k]) - point[k]
+        at = along(box, point, k)
+        offset[k] = min(max(at, box[0, k]), box[1, k]) - at
+    turn_back(box, offset)
     return norm(offset)
 
 
@@ -35,9 +39,10 @@ def slab(start: Array, step: Array, box: Array, grow: float, tiny: float) -> tup
     """
     enter, leave = -np.inf, np.inf
     for k in range(3):
-        along = step[k] if abs(step[k]) >= tiny else tiny
-        one = (box[0, k] - grow - start[k]) / along
-        two = (box[1, k] + grow - start[k]) / along
+        at, rate = along(box, start, k), along(box, step, k)
+        rate = rate if abs(rate) >= tiny else tiny
+        one = (box[0, k] - grow - at) / rate
+        two = (box[1, k] + grow - at) / rate
         enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
     return enter, leave
 
@@ -47,8 +52,10 @@ def box_slope(start: Array, end: Array, box: Array, t: float) -> float:
     """Returns half of d/dt of the squared distance of start + t (end - start) to a box."""
     slope = 0.0
     for k in range(3):
-        at = start[k] + t * (end[k] - start[k])
-        slope += (at - min(max(at, box[0, k]), box[1, k])) * (end[k] - start[k])
+        begin = along(box, start, k)
+        step = along(box, end, k) - begin
+        at = begin + t * step
+        slope += (at - min(max(at, box[0, k]), box[1, k])) * step
     return slope
 
 
@@ -67,9 +74,10 @@ def segment_gap(start: Array, end: Array, box: Array) -> float:
         nearest = right
     else:
         for k in range(3):
+            begin = along(box, start, k)
+            step = along(box, end, k) - begin
             for side in range(2):
-                step = end[k] - start[k]
-                t = (box[side, k] - start[k]) / step if step != 0.0 else 0.0
+                t = (box[side, k] - begin) / step if step != 0.0 else 0.0
                 if left < t < right:
                     slope = box_slope(start, end, box, t)
                     if slope < 0.0:
@@ -79,7 +87,8 @@ def segment_gap(start: Array, end: Array, box: Array) -> float:
         nearest = left + falling / (falling - rising) * (right - left)
     square = 0.0
     for k in range(3):
-        at = start[k] + nearest * (end[k] - start[k])
+        begin = along(box, start, k)
+        at = begin + nearest * (along(box, end, k) - begin)
         square += (at - min(max(at, box[0, k]), box[1, k])) ** 2
     return math.sqrt(square)
 
@@ -135,8 +144,8 @@ def nearest_point_offset(points: Array, boxes: Array) -> Array:
     Returns:
         (..., 3) offsets in metres.
     """
-    low, high = boxes[..., 0, :], boxes[..., 1, :]
-    return np.clip(points, low, high) - points
+    low, high, at = boxes[..., 0, :], boxes[..., 1, :], in_axes(points, boxes)
+    return from_axes(np.clip(at, low, high) - at, boxes)
 
 
 def point_box_distance(points: Array, boxes: Array) -> Array:
@@ -158,7 +167,7 @@ def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
     segment_gaps(
         rows(start, shape, (3,)),
         rows(end, shape, (3,)),
-        rows(boxes, shape, (2, 3)),
+        rows(boxes, shape, boxes.shape[-2:]),
         gap.reshape(-1),
     )
     return gap
@@ -166,8 +175,9 @@ def segment_box_distance(start: Array, end: Array, boxes: Array) -> Array:
 
 def inflate(boxes: Array, margin: float | Array) -> Array:
     """Returns boxes (..., 2, 3) grown by `margin` metres on every side."""
-    grow = np.asarray(margin, dtype=np.float64)[..., None]
-    return np.stack([boxes[..., 0, :] - grow, boxes[..., 1, :] + grow], axis=-2)
+    grow = np.asarray(margin, dtype=np.float64)[..., None, None]
+    low, high, turn = boxes[..., :1, :], boxes[..., 1:2, :], boxes[..., 2:, :]
+    return np.concatenate([low - grow, high + grow, turn], axis=-2)
 
 
 def segment_clear(start: Array, end: Array, boxes: Array, radius: float) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mjcollect.geometry.boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.occupancy import Mask, blocked_grid
+from mjcollect.geometry.turns import inside
 
 _DEPOT = -1  # This node is the depot, as in `scene.order`, which this room cannot import.
 _GRIDS = (50, 100, 200)  # Grids of so many cells along the bounds' longest side are tried in turn.
@@ -37,7 +38,7 @@ class Space(NamedTuple):
     """Holds what is needed of a scene, see `scene.scene.Scene`; node -1 is the depot.
 
     Attributes:
-        bounds: (2, 3) m. obstacles: (M, 2, 3) m. uav_radius: m. depot: (3,). items: (K, 3).
+        bounds: (2, 3) m. obstacles: (M, 2 or 3, 3) m. uav_radius: m. depot: (3,). items: (K, 3).
         epsilon: m, how near to an item the body must come.
     """
 
@@ -202,12 +203,11 @@ def _decompose(space: Space, low: Array, high: Array) -> tuple[list[Array], Mask
     Where there would be too many cells, first the boxes' shapes get cruder, then small boxes are
     left out: both only add free space, so the proof holds.
     """
+    boxes = inside(space.obstacles)  # Of turned boxes only a part counts: that adds free space.
     near = np.all(
-        (space.obstacles[:, 0] - space.uav_radius <= high)
-        & (space.obstacles[:, 1] + space.uav_radius >= low),
-        axis=1,
+        (boxes[:, 0] - space.uav_radius <= high) & (boxes[:, 1] + space.uav_radius >= low), axis=1
     )
-    obstacles = space.obstacles[near]
+    obstacles = boxes[near]
     x, y, z = (obstacles[:, 1] - obstacles[:, 0]).T
     largest = np.argsort(-(x * y + y * z + z * x), kind="stable")[:_MANY_BOXES]
     for kept, subsets in (

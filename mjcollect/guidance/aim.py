@@ -50,9 +50,9 @@ def room_at(scene: Scene, points: Array) -> Array:
 
 def room_to_boxes(scene: Scene, points: Array) -> Array:
     """Returns the metres (P,) from the surface of the body at points (P, 3) to the nearest box."""
-    if not len(scene.obstacles):
+    if not len(scene.boxes):
         return np.full(len(points), np.inf)
-    distance = point_box_distance(points[:, None], scene.obstacles).min(axis=1)
+    distance = point_box_distance(points[:, None], scene.boxes).min(axis=1)
     return np.asarray(distance - scene.uav_radius)
 
 

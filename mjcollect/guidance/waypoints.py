@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from mjcollect.geometry.boxes import inflate, segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length, tighten
+from mjcollect.geometry.turns import in_axes
 from mjcollect.guidance.distance_field import WAY_ROOM
 from mjcollect.scene.scene import Scene
 
@@ -54,7 +55,7 @@ class Waypoints(NamedTuple):
             path: (P, 3), the tight path, start and aim included. ways: free polylines (P, 3) with
                 the same ends, not tight.
         """
-        boxes, radius = scene.obstacles, scene.uav_radius
+        boxes, radius = scene.boxes, scene.uav_radius
         if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
         for clearance in CLEARANCES:
@@ -71,17 +72,18 @@ class Waypoints(NamedTuple):
         steps = np.diff(way, axis=0)
         length = np.linalg.norm(steps, axis=1)
         units = steps / np.maximum(length, 1e-9)[:, None]
-        low, high = scene.obstacles[:, 0], scene.obstacles[:, 1]
-        kept = []
+        boxes, kept = scene.boxes, []
+        low, high = boxes[:, 0], boxes[:, 1]
         for before, point in itertools.pairwise(way):
             # A box close to the point is inflated less, or the point would never be in sight.
-            beside = np.maximum(low - point, point - high).max(axis=1)
+            at = in_axes(point, boxes)
+            beside = np.maximum(low - at, at - high).max(axis=1)
             margin = np.clip(0.9 * beside, scene.uav_radius, scene.uav_radius + sight)
             # The corners of inflated boxes must not hide it from the point before it either.
             for less in (scene.uav_radius, scene.uav_radius / np.sqrt(3)):
-                hidden = _crosses(before, point, inflate(scene.obstacles, margin))
+                hidden = _crosses(before, point, inflate(boxes, margin))
                 margin = np.where(hidden, less, margin)
-            kept.append(inflate(scene.obstacles, margin))
+            kept.append(inflate(boxes, margin))
         return cls(
             points=way[1:].copy(),
             remaining=np.append(np.cumsum(length[:0:-1])[::-1], 0.0),
@@ -97,8 +99,9 @@ def _keeps(way: Array, boxes: Array, radius: float) -> bool:
 
 def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:
     """Returns which (M,) boxes (M, 2, 3) the segment between two points (3,) meets."""
-    step = end - start
-    share = (boxes - start) / np.where(np.abs(step) < 1e-12, 1e-12, step)
+    at, step = (np.atleast_2d(in_axes(vector, boxes)) for vector in (start, end - start))
+    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    share = (boxes[:, :2] - at[:, None]) / step[:, None]
     enter, leave = share.min(axis=1).max(axis=1), share.max(axis=1).min(axis=1)
     return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
@@ -118,7 +121,7 @@ def _moved_out(way: Array, scene: Scene, radius: float) -> tuple[Array, Array]:
         while out > LEAST_CUT / 2:
             moved = np.clip(way[i] + turn / size * out, *scene.bounds)
             corner = np.stack([way[i - 1], moved, way[i + 1]])
-            if _keeps(corner, scene.obstacles, radius):
+            if _keeps(corner, scene.boxes, radius):
                 way[i], shift[i] = moved, out
                 break
             out /= 2

@@ -15,6 +15,7 @@ from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import segment_clear
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.turns import joined
 from mjcollect.scene.scene import Scene
 
 CAUTION = 1.5  # A margin is so many times the distance by which the body is believed to be astray.
@@ -93,7 +94,7 @@ class Foresight:
             if segment_clear(end, pull, here[None], clear):
                 continue
             at = here.mean(axis=0) + EDGES * (np.diff(here, axis=0)[0] / 2 + clear + BESIDE)
-            boxes = np.concatenate([here[None], scene.obstacles])
+            boxes = joined(here[None], scene.boxes, axis=0)
             inside = np.all((scene.bounds[0] <= at) & (at <= scene.bounds[1]), axis=1)
             first = at[inside & segment_clear(end, at, boxes, clear)]
             last = at[inside & segment_clear(at, pull, boxes, clear)]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.turns import around, from_axes, in_axes
 
 SIGHT = 40.0  # Boxes within this many metres of a piece get a plane.
 _HALVINGS = 20  # The search for a piece's point nearest to a box halves the piece this often.
@@ -34,17 +35,19 @@ class Planes:
 def separate(path: Array, boxes: Array) -> Planes:
     """Returns planes between the straight pieces of `path` (M + 1, 3) and near boxes.
 
-    `boxes` are (B, 2, 3), or (M, B, 2, 3) where each piece has boxes of its own. The normal joins
-    the nearest points of piece and box, which gives the largest clearance that any plane can. Where
-    they overlap it is the normal of the face with the shortest way out.
+    `boxes` are (B, 2 or 3, 3), or (M, B, 2 or 3, 3) where each piece has boxes of its own. The
+    normal joins the nearest points of piece and box, which gives the largest clearance that any
+    plane can. Where they overlap it is the normal of the face with the shortest way out.
     """
-    start, end = path[:-1, None], path[1:, None]
-    low, high = boxes[..., 0, :], boxes[..., 1, :]
+    start, end, hull = path[:-1, None], path[1:, None], around(boxes)
+    low, high = hull[..., 0, :], hull[..., 1, :]
     gap = np.maximum(low - np.maximum(start, end), np.minimum(start, end) - high)
     near = np.sum(np.maximum(gap, 0.0) ** 2, axis=-1) < SIGHT**2
     piece, box = np.nonzero(near)
-    start, end = path[piece], path[piece + 1]
-    low, high = (np.broadcast_to(corner, gap.shape)[piece, box] for corner in (low, high))
+    boxes = np.broadcast_to(boxes, (*near.shape, *boxes.shape[-2:]))[piece, box]
+    # In the boxes' own axes; rotation keeps what is measured along a normal.
+    start, end = in_axes(path[piece], boxes), in_axes(path[piece + 1], boxes)
+    low, high = boxes[:, 0], boxes[:, 1]
     point = _nearest_point(start, end, low, high)
     normal = point - np.clip(point, low, high)
     distance = np.linalg.norm(normal, axis=1)
@@ -55,7 +58,7 @@ def separate(path: Array, boxes: Array) -> Planes:
     normal = np.where((distance < 1e-3)[:, None], outwards, normal)
     offset = np.sum(np.where(normal > 0, high, low) * normal, axis=1)
     lowest = np.minimum(np.sum(normal * start, axis=1), np.sum(normal * end, axis=1))
-    return Planes(piece, box, normal, offset, lowest - offset)
+    return Planes(piece, box, from_axes(normal, boxes), offset, lowest - offset)
 
 
 def _nearest_point(start: Array, end: Array, low: Array, high: Array) -> Array:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.turns import joined
 from mjcollect.planners.cone_solver import Rows, minimise, norms, settings, within
 from mjcollect.planners.foresight import Foresight
 from mjcollect.planners.separating_planes import SIGHT, separate
@@ -153,11 +154,11 @@ class Program:
             margin: (M,) m that a slot keeps on top of what is proven.
             given: (M,) m by which it may give way.
         """
-        scene, boxes, count = self.scene, self.scene.obstacles, len(at_slack)
+        scene, boxes, count = self.scene, self.scene.boxes, len(at_slack)
         if self.foresight is not None:
             moving = self.foresight.swept(count, scene.slot)
             still = np.broadcast_to(boxes, (count, *boxes.shape))
-            boxes = np.concatenate([still, moving], axis=1)
+            boxes = joined(still, moving, axis=1)
         planes = separate(path, boxes)
         piece, normal = planes.piece, planes.normal
         proven = scene.uav_radius + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M

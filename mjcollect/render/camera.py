@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
-from mjcollect.geometry.boxes import nearest_point_offset
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.turns import in_axes
 from mjcollect.scene.scene import Scene
 
 Picture = NDArray[np.uint8]  # (H, W, 3)
@@ -87,9 +87,10 @@ def clear_distance(start: Array, direction: Array, boxes: Array, margin: float) 
     Returns:
         (...) in metres.
     """
-    start, direction = start[..., None, :], direction[..., None, :]
-    # Along the axes, as the grown box has sharp corners.
-    gap = np.abs(nearest_point_offset(start, boxes)).max(axis=-1)
+    start = in_axes(start[..., None, :], boxes)
+    direction = in_axes(direction[..., None, :], boxes)
+    # Along its axes, as the grown box has sharp corners.
+    gap = np.abs(np.clip(start, boxes[:, 0], boxes[:, 1]) - start).max(axis=-1)
     grow = np.minimum(margin, 0.9 * gap)[..., None]
     step = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     one = (boxes[:, 0] - grow - start) / step
@@ -127,7 +128,7 @@ def chase_eyes(
     tilt = _smooth(np.clip(elevation + np.interp(frames, keys, lift), *TILT), sigma)
     direction = _unit(azimuth, tilt)
     margin = CLEARANCE * scene.uav_radius
-    reach = np.minimum(clear_distance(x, direction, scene.obstacles, margin), distance)
+    reach = np.minimum(clear_distance(x, direction, scene.boxes, margin), distance)
     # A mean of window minima never exceeds the value in the window's centre.
     half = max(1, round(0.4 * fps))
     shortest = minimum_filter1d(reach, 2 * half + 1, mode="nearest")
@@ -160,7 +161,7 @@ def _choose(
     tilt = np.clip(elevation[:, None] + lift, *TILT)
     direction = _unit(heading[:, None] + np.pi + swing, tilt)
     margin = CLEARANCE * scene.uav_radius
-    clear = clear_distance(x[:, None, :], direction, scene.obstacles, margin)
+    clear = clear_distance(x[:, None, :], direction, scene.boxes, margin)
     # Clipped tilts that would look up through the ground are as bad as a box.
     below = x[:, None, 2] + distance * direction[..., 2] < scene.bounds[0, 2] + 1.0
     short = 1.0 - np.minimum(clear / distance, 1.0)

@@ -13,11 +13,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
+from mjcollect.geometry.turns import around, corners
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.overlay import SPEED_MAP
 from mjcollect.render.time_figures import (
@@ -50,6 +51,7 @@ EDGE = "#5A6672"  # Boxes have edges of this colour.
 WAY: dict[str, Any] = {"color": PURPLE, "linestyle": (0, (4, 2)), "linewidth": 1.4, "zorder": 3}
 MOVING: dict[str, Any] = {"facecolor": "#CC79A755", "edgecolor": PURPLE, "linewidth": 1.4}
 MARGIN = 0.12  # This share of a segment's extent is left free around it.
+FLOOR = [0, 4, 6, 2]  # corners of a box's floor, counterclockwise
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 )
@@ -75,8 +77,7 @@ def plot_path_3d(
     figure = new_figure(12, 10)
     low, high = _window(done, guidance_path)
     axes = axes_3d(figure, (0.0, 0.02, 0.86, 0.93), low, high)
-    inside = np.clip(done.scene.obstacles, low, high)
-    draw_boxes_3d(axes, inside[np.all(inside[:, 1] > inside[:, 0], axis=-1)])
+    draw_boxes_3d(axes, _within(done.scene, low, high))
     for box in moving:
         axes.plot(*np.array(box.path).T, **WAY)
         draw_boxes_3d(axes, box.box_at(0.0)[None], **MOVING)
@@ -164,23 +165,33 @@ def axes_top(figure: Figure, place: Place, low: Array, high: Array) -> Any:
     return axes
 
 
+def _within(scene: Scene, low: Array, high: Array) -> Array:
+    """Returns the boxes (M, 2 or 3, 3) in a window, cut to it if they are not turned."""
+    boxes, hull = scene.boxes.copy(), np.clip(around(scene.boxes), low, high)
+    if len(boxes) == 0:
+        return boxes
+    still = scene.yaw == 0.0
+    boxes[still, :2] = hull[still]
+    boxes[:, :2, 2] = hull[:, :, 2]
+    return boxes[np.all(hull[:, 1] > hull[:, 0], axis=-1)]
+
+
 def draw_boxes_3d(axes: Any, boxes: Array, **style: Any) -> None:
-    """Draws boxes (M, 2, 3) in three dimensions, in any other style if one is given."""
+    """Draws boxes (M, 2 or 3, 3) in three dimensions, in any other style if one is given."""
     style = {"facecolor": "#8899AA", "edgecolor": EDGE, "alpha": 0.16, "linewidth": 0.5} | style
-    for box in boxes:
-        corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(8, 3)
-        axes.add_collection3d(Poly3DCollection(corners[BOX_FACES], zorder=1, **style))
+    for at in corners(boxes):
+        axes.add_collection3d(Poly3DCollection(at[BOX_FACES], zorder=1, **style))
 
 
 def draw_boxes_top(axes: Any, scene: Scene) -> None:
     """Draws a scene's boxes from above, darker the higher their tops."""
     floor, ceiling = scene.bounds[:, 2]
-    for box in sorted(scene.obstacles, key=lambda box: float(box[1, 2])):
+    for box in sorted(scene.boxes, key=lambda box: float(box[1, 2])):
         shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
         axes.add_patch(
-            Rectangle(
-                box[0, :2], *(box[1] - box[0])[:2], facecolor=str(shade), edgecolor=EDGE,
-                alpha=0.75, linewidth=0.8, zorder=1,
+            Polygon(
+                corners(box)[FLOOR, :2], facecolor=str(shade), edgecolor=EDGE, alpha=0.75,
+                linewidth=0.8, zorder=1,
             )
         )  # fmt: skip
 
@@ -246,7 +257,7 @@ def _box_heights(axes: Any, done: Progress, low: Array, high: Array) -> None:
     wide = np.array([1 / 3, 1.0]) / (high - low)  # texts are wide: distances count along x a third
     taken = np.concatenate([flown, nodes, labels]) * wide
     shares = np.array([[0.5, 0.5], [0.5, 0.2], [0.5, 0.8], [0.3, 0.5], [0.7, 0.5]])
-    for box in scene.obstacles:
+    for box in around(scene.boxes):
         seen = np.clip(box[:, :2], low, high)
         places = seen[0] + shares * (seen[1] - seen[0])
         room = np.linalg.norm(places[:, None] * wide - taken, axis=-1).min(axis=1)

@@ -10,11 +10,12 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
 from mjcollect.envs.disturbed import HOME, DisturbedFlight, DisturbedFlights
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.path_figures import EDGE, MOVING, TEXT, draw_moving
+from mjcollect.geometry.turns import around, corners
+from mjcollect.render.path_figures import EDGE, FLOOR, MOVING, TEXT, draw_moving
 from mjcollect.render.time_figures import BLACK, BLUE, LABEL, ORANGE, RED, save
 from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.air import Air
@@ -24,6 +25,7 @@ from mjcollect.scene.scene import Scene
 SIZE = (16.0, 8.0)  # inches
 ROOM = (0.045, 0.075, 0.80, 0.83)  # left, bottom, width, height of both views together
 GAP = 0.055  # Between the views so much of the figure is free.
+SIDE = [0, 4, 5, 1]  # corners of the side of a box that is nearest to the eye
 THIN: dict[str, Any] = {"color": BLUE, "linewidth": 0.8, "alpha": 0.45, "zorder": 4}
 FAILED: dict[str, Any] = {"color": RED, "linewidth": 0.8, "alpha": 0.4, "zorder": 4.5}
 ENDED: dict[str, Any] = {"color": RED, "marker": "X", "s": 42, "edgecolor": "white", "zorder": 7}
@@ -83,15 +85,17 @@ def _places(extent: Array) -> list[tuple[float, float, float, float]]:
 def _boxes(axes: Any, scene: Scene, across: int, up: int) -> None:
     """Draws the boxes, the nearest to the eye last."""
     away = 3 - across - up  # the axis that is looked along
-    order = np.argsort(scene.obstacles[:, 1, away] if away == 2 else -scene.obstacles[:, 0, away])
+    hulls = around(scene.boxes)
+    order = np.argsort(hulls[:, 1, away] if away == 2 else -hulls[:, 0, away])
     floor, ceiling = scene.bounds[:, away]
-    for box in scene.obstacles[order]:
-        near = (box[1, away] - floor) if away == 2 else (ceiling - box[0, away])
+    for box, hull in zip(scene.boxes[order], hulls[order], strict=True):
+        near = (hull[1, away] - floor) if away == 2 else (ceiling - hull[0, away])
         shade = 0.92 - 0.30 * near / (ceiling - floor)
-        corner, size = box[0, [across, up]], (box[1] - box[0])[[across, up]]
+        # From above a box shows how it is turned; from the side, how wide it is.
+        outline = corners(box if away == 2 else hull)[FLOOR if away == 2 else SIDE]
         axes.add_patch(
-            Rectangle(
-                tuple(corner), *size, facecolor=str(shade), edgecolor=EDGE, alpha=0.7,
+            Polygon(
+                outline[:, [across, up]], facecolor=str(shade), edgecolor=EDGE, alpha=0.7,
                 linewidth=0.7, zorder=1,
             )
         )  # fmt: skip

@@ -28,6 +28,10 @@ class _Box(BaseModel):
     max: Point
 
 
+class _Obstacle(_Box):
+    yaw: FiniteFloat = 0.0
+
+
 class _MovingBox(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
     size: Point
@@ -52,7 +56,7 @@ class _SceneFile(BaseModel):
     bounds: _Box
     depot: Point
     items: list[Point]
-    obstacles: list[_Box]
+    obstacles: list[_Obstacle]
     v_max: FiniteFloat
     a_max: FiniteFloat
     epsilon: FiniteFloat
@@ -116,6 +120,7 @@ def parse(text: str) -> dict[str, Any]:
     flat = parsed.model_dump()
     flat["bounds"] = [parsed.bounds.min, parsed.bounds.max]
     flat["obstacles"] = [[box.min, box.max] for box in parsed.obstacles]
+    flat["yaw"] = [box.yaw for box in parsed.obstacles]
     return flat
 
 

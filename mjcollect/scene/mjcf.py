@@ -46,13 +46,16 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
     # agree bit for bit through a contact.
     root.option.flag.warmstart = "disable"
     _add_surroundings(root, scene)
-    for index, box in enumerate(scene.obstacles):
+    for index, (box, yaw) in enumerate(zip(scene.obstacles, scene.yaw, strict=True)):
+        half = np.radians(yaw) / 2
+        turn = {"quat": (np.cos(half), 0.0, 0.0, np.sin(half))} if yaw else {}
         root.worldbody.add(
             "geom",
             name=f"obstacle_{index}",
             type="box",
             pos=(box[0] + box[1]) / 2,
             size=(box[1] - box[0]) / 2,
+            **turn,
             contype=0,
             conaffinity=1,
             material="obstacle",

@@ -10,7 +10,8 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 from mjcollect.geometry.boxes import point_box_distance
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.enclosure import Space, walled_in
+from mjcollect.geometry.turns import around, turned
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.file_format import SceneError, parse, read_text
 from mjcollect.scene.moving import MovingBox
@@ -37,7 +39,7 @@ POSITIVE_LIMITS = (
     "uav_radius",
     "physics_step",
 )
-_SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3)}
+_SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3), "yaw": (-1,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,9 @@ class Scene:
         bounds: (2, 3), minimum and maximum corner; the body's centre may lie on them.
         depot: (3,), start and end of the mission.
         items: (K, 3), K >= 1.
-        obstacles: (M, 2, 3), boxes as minimum and maximum corner.
+        obstacles: (M, 2, 3), boxes as minimum and maximum corner before they are turned.
+        yaw: (M,), degrees by which each box is turned about its centre, counterclockwise as seen
+            from above; none for all zero.
         v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
         epsilon: collection radius, eq. (5).
         slot: time for which one command is held, the paper's delta.
@@ -76,6 +80,7 @@ class Scene:
     physics_step: float = 0.02
     moving: tuple[MovingBox, ...] = ()
     origin: Origin | None = None
+    yaw: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -83,10 +88,12 @@ class Scene:
         Raises:
             SceneError: a rule is broken; it names field, value and fix.
         """
-        for field, shape in _SHAPES.items():
-            array = _array(field, getattr(self, field), shape)
+        if np.size(self.yaw) == 0:
+            object.__setattr__(self, "yaw", np.zeros(len(self.obstacles)))
+        for name, shape in _SHAPES.items():
+            array = _array(name, getattr(self, name), shape)
             array.setflags(write=False)
-            object.__setattr__(self, field, array)
+            object.__setattr__(self, name, array)
         for limit in POSITIVE_LIMITS:
             object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
         object.__setattr__(self, "moving", tuple(map(_moving_box, self.moving)))
@@ -104,6 +111,14 @@ class Scene:
     def slug(self) -> str:
         """Returns the name as a file name: all but letters, digits and . _ - becomes _."""
         return re.sub(r"[^A-Za-z0-9._-]|^[.-]", "_", self.name)
+
+    @cached_property
+    def boxes(self) -> Array:
+        """Returns the obstacles as they stand: (M, 2, 3), or (M, 3, 3) if any of them is turned.
+
+        See `geometry.turns`; it is what distances are computed from.
+        """
+        return turned(self.obstacles, self.yaw)
 
     def point(self, node: int) -> Array:
         """Returns the position (3,) of item `node`, or of the depot for -1."""
@@ -143,7 +158,10 @@ class Scene:
             "bounds": _box_dict(self.bounds),
             "depot": self.depot.tolist(),
             "items": self.items.tolist(),
-            "obstacles": [_box_dict(box) for box in self.obstacles],
+            "obstacles": [
+                _box_dict(box) | ({"yaw": yaw} if yaw != 0.0 else {})
+                for box, yaw in zip(self.obstacles, self.yaw.tolist(), strict=True)
+            ],
         }
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
         moving = [box.to_dict() for box in self.moving]
@@ -211,17 +229,26 @@ class Scene:
                 raise SceneError(name, value, "must be smaller than the bounds' diagonal")
 
     def _check_obstacles(self) -> None:
+        if len(self.yaw) != len(self.obstacles):
+            fix = f"needs a number for each of {len(self.obstacles)} obstacles"
+            raise SceneError("yaw", self.yaw.tolist(), fix)
         for index, box in enumerate(self.obstacles):
             field = f"obstacles[{index}]"
             if np.any(box[0] >= box[1]):
                 raise SceneError(
                     field, _box_dict(box), "min must be below max on every axis; swap or widen them"
                 )
-            if not (_inside(box[0], self.bounds) and _inside(box[1], self.bounds)):
+            if not -360.0 <= self.yaw[index] <= 360.0:
+                fix = "must lie between -360 and 360 degrees"
+                raise SceneError(f"{field}.yaw", float(self.yaw[index]), fix)
+        for index, hull in enumerate(around(self.boxes)):
+            slack = MAX_EXTENT * 1e-14 if self.yaw[index] else 0.0  # Turning rounds.
+            if np.any(hull[0] < self.bounds[0] - slack) or np.any(hull[1] > self.bounds[1] + slack):
                 raise SceneError(
-                    field, _box_dict(box), "reaches outside the bounds; clip it or widen the bounds"
-                )
-        distance = point_box_distance(self.depot, self.obstacles)
+                    f"obstacles[{index}]", _box_dict(self.obstacles[index]),
+                    "reaches outside the bounds; clip it or widen the bounds",
+                )  # fmt: skip
+        distance = point_box_distance(self.depot, self.boxes)
         for index in np.flatnonzero(distance < self.uav_radius).tolist():
             raise SceneError(
                 "depot",
@@ -261,7 +288,7 @@ class Scene:
             field = f"items[{index}]"
             if not _inside(item, self.bounds):
                 raise SceneError(field, item.tolist(), "lies outside the bounds; move it inside")
-            distance = point_box_distance(item, self.obstacles)
+            distance = point_box_distance(item, self.boxes)
             for hit in np.flatnonzero(distance <= 0.0):
                 raise SceneError(
                     field, item.tolist(), f"lies inside or on obstacles[{hit}]; move one of them"
@@ -274,7 +301,7 @@ class Scene:
                     f"{self.uav_radius} m cannot come within epsilon = {self.epsilon} m of it",
                 )
         space = Space(
-            self.bounds, self.obstacles, self.uav_radius, self.depot, self.items, self.epsilon
+            self.bounds, self.boxes, self.uav_radius, self.depot, self.items, self.epsilon
         )
         for node in walled_in(space):
             field = "depot" if node < 0 else f"items[{node}]"

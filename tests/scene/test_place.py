@@ -34,7 +34,7 @@ def test_distances_and_bearings_from_the_origin_are_those_of_geodesics(lat, lon,
 def test_a_scene_keeps_its_origin(free_scene):
     for origin in (Origin(31.3, 120.6), Origin(31.3, 120.6, 4.0, "EPSG:32651")):
         scene = dataclasses.replace(free_scene, origin=origin)
-        assert Scene(**scene.__dict__).origin == origin
+        assert dataclasses.replace(scene).origin == origin
         assert Scene.from_json(json.dumps(scene.to_dict())) == scene
         assert scene != free_scene
     assert "origin" not in free_scene.to_dict()

@@ -116,7 +116,7 @@ def plot_schemes(
     low, high = scene.bounds
     space = axes_3d(made, (0.0, 0.09, 0.50, 0.85), low, high)
     top = axes_top(made, (0.555, 0.14, 0.425, 0.78), low, high)
-    draw_boxes_3d(space, scene.obstacles)
+    draw_boxes_3d(space, scene.boxes)
     draw_boxes_top(top, scene)
     handles = []
     for number, (name, (order, flight)) in enumerate(flights.items()):
