@@ -12,9 +12,10 @@ PROGRAMS = {
     "generalist": "train.generalist",
     "reproduce": "train.reproduce",
     "scene": "mjcollect.scene.__main__",
-    "generate": "mjcollect.generate",
+    "generate": "mjcollect.generate.__main__",
     "render": "mjcollect.render.__main__",
     "export": "mjcollect.export.__main__",
+    "import": "mjcollect.generate.import_place",
 }
 
 

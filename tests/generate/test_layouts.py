@@ -4,7 +4,8 @@ import sys
 import numpy as np
 import pytest
 
-from mjcollect.generate import GenerateError, generate, main
+from mjcollect.generate import GenerateError, generate
+from mjcollect.generate.__main__ import main
 from mjcollect.scene.scene import Scene
 
 
