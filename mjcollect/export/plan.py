@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mjcollect.export.mission import FlownMission
-from mjcollect.export.waypoints import thin
+from mjcollect.export.waypoints import is_clear, thin
 from mjcollect.geometry.compiled import Array
+from mjcollect.scene.scene import Scene
 
 TAKE_OFF, WAYPOINT, LAND, CHANGE_SPEED = 22, 16, 21, 178  # MAV_CMD
 RELATIVE, NO_PLACE = 3, 2  # MAV_FRAME: altitude above home; a command without a place
@@ -21,6 +22,7 @@ CROSS_TRACK = 0.5  # metres; the flown path is nowhere farther from the plan's l
 HOVER = 2.0  # seconds at every item
 SPEED_STEP = 1.0  # m/s; a smaller change of speed is not sent
 LEAST_SPEED = 1.0  # m/s; autopilots refuse to crawl
+RISES = (2.5, 1.5, 1.0, 0.5)  # metres of the climb at take-off; the first that is free is taken
 
 
 def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float = HOVER) -> Any:
@@ -38,7 +40,7 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
     height = flown.x[rows, 2] - scene.depot[2]
     fastest = np.linalg.norm(flown.v, axis=1)
     home, items, speed = places[0], [], 0.0
-    items.append(_item(1, TAKE_OFF, [0, 0, 0, None], places[0], float(height[0])))
+    items.append(_item(1, TAKE_OFF, [0, 0, 0, None], home, _rise(scene, flown.x[rows[1]])))
     for k in range(1, len(rows)):
         wanted = max(round(float(fastest[rows[k - 1] : rows[k] + 1].max())), LEAST_SPEED)
         if abs(wanted - speed) >= SPEED_STEP:
@@ -70,6 +72,19 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
         },
         "rallyPoints": {"version": 2, "points": []},
     }
+
+
+def _rise(scene: Scene, first: Array) -> float:
+    """Returns how high (m) the plan takes off, from where the leg to `first` (3,) is free.
+
+    Autopilots do not take off to the height that they stand at.
+    """
+    for rise in RISES:
+        top = scene.depot + np.array([0.0, 0.0, rise])
+        legs = ((scene.depot, top), (top, first))
+        if all(is_clear(*leg, scene.boxes, scene.uav_radius) for leg in legs):
+            return rise
+    return RISES[-1]
 
 
 def _command(number: int, command: int, params: list[float]) -> dict[str, Any]:

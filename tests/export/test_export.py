@@ -75,13 +75,15 @@ def test_the_plan_read_back_flies_free_through_all_items_and_home(mission):
     for node in range(len(scene.items)):
         near = np.linalg.norm(points - scene.items[node], axis=1) <= scene.epsilon + 1e-3
         assert near.any()
-    np.testing.assert_allclose(points[[0, -1]], [scene.depot] * 2, atol=1e-3)
+    np.testing.assert_allclose(points[[0, -1], :2], [scene.depot[:2]] * 2, atol=1e-3)
+    assert points[0, 2] == pytest.approx(scene.depot[2] + 2.5)  # it climbs at take-off
+    assert points[-1, 2] == pytest.approx(scene.depot[2])
     held = [item for item in items if item["command"] == 16 and item["params"][0] > 0]
     assert len(held) == len(scene.items)
     # The flown path is nowhere farther from the legs than what is stated.
     for point in mission.trajectory.x[:: scene.substeps]:
-        gaps = [distance(point, a, b) for a, b in itertools.pairwise(points)]
-        assert min(gaps) <= 0.5 + 1e-3
+        legs = [(scene.depot, points[1]), *itertools.pairwise(points)]
+        assert min(distance(point, a, b) for a, b in legs) <= 0.5 + 1e-3
     assert len(items) < len(mission.trajectory) / 20
 
 
