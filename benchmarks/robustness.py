@@ -146,7 +146,7 @@ def fly(
     count = disturbances.count
     sims = Simulations([course], count, rules=rules, threads=1, disturbances=disturbances)
     sims.reset()
-    start, radius = sims.episodes.truth[0].copy(), course.scene.uav_radius
+    start, radius = sims.episodes.truth[0].copy(), course.scene.reach
     hopeless = int(reached_by_a_box(start, radius, disturbances.movers).sum())
     running, ended = np.ones(count, bool), np.full(count, ENDS.index("too late"))
     slots, gave = np.zeros(count), 0

@@ -39,11 +39,11 @@ class Violation:
     """Describes one broken rule; a contiguous stretch of rows that break it counts once.
 
     Attributes:
-        kind: speed (m/s), acceleration (m/s^2), bounds (m outside), contact (m from the body's
-            centre to a box), start (m, or m/s), stop and return (m from the target, m/s at it, or
-            s where the segment is shorter than a slot), order (item index: value the one visited,
-            limit the one that was due), timestep (error of a row in s, m/s or m; or a number that
-            is not finite, whose value is None).
+        kind: speed (m/s), acceleration (m/s^2), bounds (m outside), contact and clearance (m from
+            the body's centre to a box), start (m, or m/s), stop and return (m from the target, m/s
+            at it, or s where the segment is shorter than a slot), order (item index: value the one
+            visited, limit the one that was due), timestep (error of a row in s, m/s or m; or a
+            number that is not finite, whose value is None).
         t: time at which it begins (s).
         segment: number 0..K of the segment flown at that time.
         value: the worst value found.
@@ -68,9 +68,9 @@ def verify(
     """Returns everything that a flight breaks, by time; nothing if it is a success.
 
     The rules are the limits (2)-(3), the bounds, no touch of the body's sphere with a box at any
-    instant, each item collected in order at rest within epsilon (5), the end at rest at the depot
-    (4), no segment shorter than a slot, and rows that follow semi-implicit Euler at the physics
-    step.
+    instant, the scene's clearance, each item collected in order at rest within epsilon (5), the
+    end at rest at the depot (4), no segment shorter than a slot, and rows that follow semi-implicit
+    Euler at the physics step.
 
     Args:
         scene: the problem with its limits.
@@ -226,12 +226,12 @@ class _Flight:
         v_error = np.abs(np.diff(flown.v, axis=0) - flown.a[:-1] * step).max(axis=1)
         x_error = np.abs(np.diff(flown.x, axis=0) - flown.v[1:] * step).max(axis=1)
         error[1:] = np.maximum(error[1:], np.maximum(v_error, x_error))
-        clearance = _clearance(flown.x, scene.obstacles, scene.uav_radius, scene.yaw)
+        clearance = _clearance(flown.x, scene.obstacles, scene.reach, scene.yaw)
         for box in self.moving:
             there = box.box_at(float(flown.t[0]))
             # Seen from the box, which like the body moves straight between rows.
             drift = box.centres(flown.t) - there.mean(axis=0)
-            apart = _clearance(flown.x - drift, there[None], scene.uav_radius)
+            apart = _clearance(flown.x - drift, there[None], scene.reach)
             clearance = np.minimum(clearance, apart)
         margin = DISTURBED_MARGIN if self.disturbed else 0.0
         free = np.inf if self.disturbed else 1.0  # The air may push beyond the limits.
@@ -241,6 +241,7 @@ class _Flight:
             ("bounds", 1, outside, margin),
             ("timestep", 1, error, 0.0),
             ("contact", -1, clearance, scene.uav_radius),  # must not be less
+            *([("clearance", -1, clearance, scene.reach)] if scene.clearance else []),
         ):
             for (rows,) in find_objects(label(sign * value > sign * limit + TOLERANCE)[0]):
                 worst = sign * np.max(sign * value[rows])

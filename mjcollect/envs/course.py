@@ -138,7 +138,7 @@ class Course:
             plain(scene.boxes),
             scene.a_max,
             scene.slot,
-            scene.uav_radius,
+            scene.reach,
         )
         wanting = np.ones(count, dtype=bool)
         for _ in range(1000):

@@ -35,7 +35,7 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
     """
     scene, flown = mission.scene, mission.trajectory
     stops = mission.stops[:-1]
-    rows = thin(flown.x, mission.stops, scene.boxes, scene.uav_radius, cross_track)
+    rows = thin(flown.x, mission.stops, scene.boxes, scene.reach, cross_track)
     places = mission.frame.geographic(flown.x[rows])
     height = flown.x[rows, 2] - scene.depot[2]
     fastest = np.linalg.norm(flown.v, axis=1)
@@ -82,7 +82,7 @@ def _rise(scene: Scene, first: Array) -> float:
     for rise in RISES:
         top = scene.depot + np.array([0.0, 0.0, rise])
         legs = ((scene.depot, top), (top, first))
-        if all(is_clear(*leg, scene.boxes, scene.uav_radius) for leg in legs):
+        if all(is_clear(one, two, scene.boxes, scene.reach) for one, two in legs):
             return rise
     return RISES[-1]
 

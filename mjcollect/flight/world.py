@@ -64,7 +64,7 @@ class World(NamedTuple):
             boxes=boxes,
             v_max=column("v_max"),
             a_max=column("a_max"),
-            radius=column("uav_radius"),
+            radius=column("reach"),
             slot=first.slot,
             step=first.physics_step,
             substeps=first.substeps,

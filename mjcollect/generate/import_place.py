@@ -46,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
         vehicle = VEHICLES[args.vehicle]
         scene = place_scene(
             args.name or args.out.stem, origin, boxes, yaw, args.size, args.ceiling, vehicle, depot,
-            items, args.random_items, args.seed,
+            items, args.random_items, args.seed, args.clearance,
         )  # fmt: skip
         args.out.parent.mkdir(parents=True, exist_ok=True)
         scene.save(args.out)
@@ -94,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         "--vehicle", choices=list(VEHICLES), default="delivery",
         help="Drone whose limits the scene takes (delivery).",
     )  # fmt: skip
+    add("--clearance", type=float, default=0.0, help="Metres to keep from buildings (0).")
     add("--ceiling", type=float, default=CEILING, help=f"Metres above ground ({CEILING:g}).")
     add(
         "--height", type=float, default=HEIGHT,
@@ -112,6 +113,7 @@ def _check(args: argparse.Namespace) -> None:
     for name, value, least, most in (
         ("--size", args.size, *SIZES),
         ("--ceiling", args.ceiling, 1.0, 10_000.0),
+        ("--clearance", args.clearance, 0.0, 1_000.0),
         ("--height", args.height, 0.1, 1_000.0),
         ("--excess", args.excess, 0.01, 100.0),
         ("--random-items", args.random_items, 0, 10_000),

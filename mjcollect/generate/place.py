@@ -187,11 +187,12 @@ def _nothing_there(seen: Sequence[Array], frame: Frame, size: float) -> SceneErr
 def place_scene(
     name: str, origin: Origin, boxes: Array, yaw: Array, size: float, ceiling: float,
     vehicle: Vehicle, depot: Array | None = None, items: Array | None = None,
-    random_items: int = 0, seed: int = 0,
+    random_items: int = 0, seed: int = 0, clearance: float = 0.0,
 ) -> Scene:  # fmt: skip
     """Returns the scene of a place.
 
     Args:
+        clearance: to keep from buildings (m).
         depot: (3,) m; by default a free place on the ground near the centre. items: (K, 3) m.
         random_items: so many are drawn at walls, on roofs and on the ground besides.
 
@@ -202,13 +203,14 @@ def place_scene(
     bounds = np.array([[-half, -half, 0.0], [half, half, ceiling]])
     standing = turned(boxes, yaw)
     if depot is None:
-        depot = _free_place(rng, standing, vehicle.uav_radius, half)
+        depot = _free_place(rng, standing, vehicle.uav_radius + clearance, half)
     points = [] if items is None else list(items)
     for k in range(random_items):
-        points.append(_item(rng, KINDS[k % len(KINDS)], standing, bounds, vehicle))
+        kind = KINDS[k % len(KINDS)]
+        points.append(_item(rng, kind, standing, bounds, vehicle, clearance))
     return Scene(
         name, seed, bounds, depot, np.array(points).reshape(-1, 3), boxes, origin=origin, yaw=yaw,
-        **vehicle.limits,
+        clearance=clearance, **vehicle.limits,
     )  # fmt: skip
 
 
@@ -223,8 +225,9 @@ def _free_place(rng: np.random.Generator, boxes: Array, radius: float, half: flo
 
 
 def _item(
-    rng: np.random.Generator, kind: str, boxes: Array, bounds: Array, vehicle: Vehicle
-) -> Array:
+    rng: np.random.Generator, kind: str, boxes: Array, bounds: Array, vehicle: Vehicle,
+    clearance: float,
+) -> Array:  # fmt: skip
     """Draws an item at a wall, on a roof or on the ground, where the body can come near it."""
     for _ in range(DRAWS):
         away = rng.uniform(*BESIDE)
@@ -243,21 +246,23 @@ def _item(
         point = np.round(point, 3)
         inside = np.all(point >= bounds[0]) and np.all(point <= bounds[1])
         gap = point_box_distance(point, boxes).min(initial=np.inf)
-        if inside and gap >= BESIDE[0] / 2 and _can_stand(rng, point, boxes, bounds, vehicle):
+        reach = vehicle.uav_radius + clearance
+        stands = inside and _can_stand(rng, point, boxes, bounds, vehicle.epsilon / 2, reach)
+        if stands and gap >= BESIDE[0] / 2:
             return point
     raise SceneError("--random-items", kind, f"no room for an item by the {kind}; ask for fewer")
 
 
 def _can_stand(
-    rng: np.random.Generator, item: Array, boxes: Array, bounds: Array, vehicle: Vehicle
+    rng: np.random.Generator, item: Array, boxes: Array, bounds: Array, near: float, reach: float
 ) -> bool:
-    """Returns whether the body fits somewhere within half of epsilon of an item."""
+    """Returns whether a body fits that is `near` m or less from an item and `reach` from boxes."""
     away = rng.normal(size=(60, 3))
     away *= rng.random((60, 1)) ** (1 / 3) / np.linalg.norm(away, axis=1, keepdims=True)
-    points = np.clip(item + np.r_[[[0, 0, 0]], away] * vehicle.epsilon / 2, *bounds)
-    near = boxes[point_box_distance(item, boxes) < 2 * (vehicle.epsilon + vehicle.uav_radius)]
-    gap = point_box_distance(points[:, None], near).min(axis=1, initial=np.inf)
-    return bool(np.any(gap >= vehicle.uav_radius))
+    points = np.clip(item + np.r_[[[0, 0, 0]], away] * near, *bounds)
+    beside = boxes[point_box_distance(item, boxes) < near + reach]
+    gap = point_box_distance(points[:, None], beside).min(axis=1, initial=np.inf)
+    return bool(np.any(gap >= reach))
 
 
 def read_items(path: Any, frame: Frame) -> Array:

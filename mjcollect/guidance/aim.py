@@ -53,7 +53,7 @@ def room_to_boxes(scene: Scene, points: Array) -> Array:
     if not len(scene.boxes):
         return np.full(len(points), np.inf)
     distance = point_box_distance(points[:, None], scene.boxes).min(axis=1)
-    return np.asarray(distance - scene.uav_radius)
+    return np.asarray(distance - scene.reach)
 
 
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:

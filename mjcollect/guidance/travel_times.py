@@ -28,7 +28,7 @@ def travel_times(scene: Scene) -> Array:
     nodes = [-1, *range(len(scene.items))]
     points = np.array([scene.point(node) for node in nodes])
     length = distances(scene)
-    clear = segment_clear(points[:, None], points[None], scene.boxes, scene.uav_radius)
+    clear = segment_clear(points[:, None], points[None], scene.boxes, scene.reach)
     for to in range(1, len(nodes)):
         blocked = np.flatnonzero(~clear[:to, to])
         if len(blocked) == 0:
@@ -40,7 +40,7 @@ def travel_times(scene: Scene) -> Array:
                 way = Guidance(scene, nodes[to], points[start]).length
             else:
                 tight = tighten(
-                    way_down(field, scene, points[start], aim), scene.boxes, scene.uav_radius
+                    way_down(field, scene, points[start], aim), scene.boxes, scene.reach
                 )
                 way = path_length(tight)
             length[start, to] = length[to, start] = way

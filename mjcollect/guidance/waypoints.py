@@ -55,7 +55,7 @@ class Waypoints(NamedTuple):
             path: (P, 3), the tight path, start and aim included. ways: free polylines (P, 3) with
                 the same ends, not tight.
         """
-        boxes, radius = scene.boxes, scene.uav_radius
+        boxes, radius = scene.boxes, scene.reach
         if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
         for clearance in CLEARANCES:
@@ -78,9 +78,9 @@ class Waypoints(NamedTuple):
             # A box close to the point is inflated less, or the point would never be in sight.
             at = in_axes(point, boxes)
             beside = np.maximum(low - at, at - high).max(axis=1)
-            margin = np.clip(0.9 * beside, scene.uav_radius, scene.uav_radius + sight)
+            margin = np.clip(0.9 * beside, scene.reach, scene.reach + sight)
             # The corners of inflated boxes must not hide it from the point before it either.
-            for less in (scene.uav_radius, scene.uav_radius / np.sqrt(3)):
+            for less in (scene.reach, scene.reach / np.sqrt(3)):
                 hidden = _crosses(before, point, inflate(boxes, margin))
                 margin = np.where(hidden, less, margin)
             kept.append(inflate(boxes, margin))

@@ -88,7 +88,7 @@ class Foresight:
         and the plan's `end` (3,). Else it is the next corner of the shortest way past the box, by
         points on its edges; a slow box would hold the plan before it. Without a way it is None.
         """
-        clear = scene.uav_radius + float(self.margins(slots, scene.slot)[-1])
+        clear = scene.reach + float(self.margins(slots, scene.slot)[-1])
         for box, moved in zip(self.boxes, self.shifts(slots * scene.slot + SOON), strict=True):
             here = box + moved
             if segment_clear(end, pull, here[None], clear):

@@ -161,14 +161,12 @@ class Program:
             boxes = joined(still, moving, axis=1)
         planes = separate(path, boxes)
         piece, normal = planes.piece, planes.normal
-        proven = scene.uav_radius + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
+        proven = scene.reach + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
         least = proven + np.broadcast_to(margin, count)[piece]
         # The present position cannot be moved, so the first slot keeps the clearance that it has.
         here = normal @ path[0] - planes.offset
         first = piece == 0
-        least[first] = np.minimum(least, np.maximum(here - SOLVER_MARGIN_M, scene.uav_radius))[
-            first
-        ]
+        least[first] = np.minimum(least, np.maximum(here - SOLVER_MARGIN_M, scene.reach))[first]
         right = normal @ path[0] - planes.offset - least - COMFORT
         later = ~first
         rows.add(right, (at_q[piece + 1], -normal), (at_slack[piece], -1.0))

@@ -64,6 +64,7 @@ class _SceneFile(BaseModel):
     return_tolerance: FiniteFloat
     uav_radius: FiniteFloat = 0.5
     physics_step: FiniteFloat = 0.02
+    clearance: FiniteFloat = 0.0
     moving: list[_MovingBox] = []
     origin: _Origin | None = None
 

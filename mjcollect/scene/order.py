@@ -186,7 +186,7 @@ def segments_table(scene: Scene, order: Sequence[int]) -> list[Segment]:
     """
     pairs, between = tour_segments(order), distances(scene)
     ends = np.array([[scene.point(start), scene.point(end)] for start, end in pairs])
-    clear = segment_clear(ends[:, 0], ends[:, 1], scene.boxes, scene.uav_radius)
+    clear = segment_clear(ends[:, 0], ends[:, 1], scene.boxes, scene.reach)
     return [
         {
             "index": index,

@@ -53,6 +53,7 @@ class Scene:
         depot: (3,), start and end of the mission.
         items: (K, 3), K >= 1.
         obstacles: (M, 2, 3), boxes as minimum and maximum corner before they are turned.
+        clearance: distance to keep between the body and boxes, at least.
         yaw: (M,), degrees by which each box is turned about its centre, counterclockwise as seen
             from above; none for all zero.
         v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
@@ -80,6 +81,7 @@ class Scene:
     physics_step: float = 0.02
     moving: tuple[MovingBox, ...] = ()
     origin: Origin | None = None
+    clearance: float = 0.0
     yaw: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -111,6 +113,11 @@ class Scene:
     def slug(self) -> str:
         """Returns the name as a file name: all but letters, digits and . _ - becomes _."""
         return re.sub(r"[^A-Za-z0-9._-]|^[.-]", "_", self.name)
+
+    @property
+    def reach(self) -> float:
+        """Returns how near (m) the body's centre may come to a box: radius and clearance."""
+        return self.uav_radius + self.clearance
 
     @cached_property
     def boxes(self) -> Array:
@@ -166,6 +173,7 @@ class Scene:
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
         moving = [box.to_dict() for box in self.moving]
         document |= {"moving": moving} if moving else {}
+        document |= {"clearance": self.clearance} if self.clearance else {}
         return document | ({} if self.origin is None else {"origin": self.origin.to_dict()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -198,6 +206,8 @@ class Scene:
             raise SceneError(
                 "physics_step", self.physics_step, f"must divide the slot of {self.slot} s evenly"
             )
+        if not 0.0 <= self.clearance <= LIMIT_RANGE[1]:
+            raise SceneError("clearance", self.clearance, "must be a number from 0 on")
         self._check_bounds()
         self._check_obstacles()
         self._check_moving()
@@ -249,13 +259,17 @@ class Scene:
                     "reaches outside the bounds; clip it or widen the bounds",
                 )  # fmt: skip
         distance = point_box_distance(self.depot, self.boxes)
-        for index in np.flatnonzero(distance < self.uav_radius).tolist():
+        for index in np.flatnonzero(distance < self.reach).tolist():
             raise SceneError(
                 "depot",
                 self.depot.tolist(),
                 f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's "
-                f"radius uav_radius = {self.uav_radius} m; move the depot or the obstacle",
+                f"radius uav_radius = {self._reach_text()} m; move the depot or the obstacle",
             )
+
+    def _reach_text(self) -> str:
+        more = f" and clearance {self.clearance}" if self.clearance else ""
+        return f"{self.uav_radius}{more}"
 
     def _check_moving(self) -> None:
         for index, box in enumerate(self.moving):
@@ -277,7 +291,7 @@ class Scene:
                     fix = "is the point before it; leave one of them out"
                     raise SceneError(f"{field}.path[{k}]", point.tolist(), fix)
             gap = point_box_distance(self.depot, box.box_at(0.0)[None])[0]
-            if gap < self.uav_radius:
+            if gap < self.reach:
                 fix = "stands on the depot at first; begin its path elsewhere"
                 raise SceneError(f"{field}.path[0]", path[0].tolist(), fix)
 
@@ -293,16 +307,15 @@ class Scene:
                 raise SceneError(
                     field, item.tolist(), f"lies inside or on obstacles[{hit}]; move one of them"
                 )
-            for hit in np.flatnonzero(distance + self.epsilon < self.uav_radius):
+            for hit in np.flatnonzero(distance + self.epsilon < self.reach):
                 raise SceneError(
                     field,
                     item.tolist(),
                     f"is {distance[hit]:.3g} m from obstacles[{hit}]: a body of radius "
-                    f"{self.uav_radius} m cannot come within epsilon = {self.epsilon} m of it",
+                    f"{self._reach_text()} m cannot come within epsilon = {self.epsilon} m of it",
                 )
-        space = Space(
-            self.bounds, self.boxes, self.uav_radius, self.depot, self.items, self.epsilon
-        )
+        space = Space(self.bounds, self.boxes, self.reach, self.depot, self.items, self.epsilon)
+        more = f" and its clearance of {self.clearance} m" if self.clearance else ""
         for node in walled_in(space):
             field = "depot" if node < 0 else f"items[{node}]"
             raise SceneError(
@@ -310,7 +323,7 @@ class Scene:
                 self.point(node).tolist(),
                 "is walled in: obstacles close it off from "
                 + ("every item" if node < 0 else "the depot")
-                + "; open a passage wider than the body or move it",
+                + f"; open a passage wider than the body{more} or move it",
             )
 
 
