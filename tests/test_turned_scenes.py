@@ -161,5 +161,12 @@ def test_pictures_show_boxes_as_they_are_turned(scene, course, tmp_path):
     for outline in drawn:
         points = np.c_[outline, np.full(4, 5.0)]
         np.testing.assert_allclose(gaps(points, scene), 0.0, atol=1e-6)
+    zoned = dataclasses.replace(scene, no_fly=(2, 5))
+    flown = progress(zoned, flown.trajectory, (0, 1))
+    axes = plot_path_top(tmp_path / "top.png", flown).axes[0]
+    hatched = [patch for patch in axes.patches if patch.get_hatch()]
+    assert len(hatched) == 2
+    with pytest.raises(SceneError, match="no_fly"):
+        dataclasses.replace(scene, no_fly=(99,))
     plot_path_3d(tmp_path / "path.png", flown)
     assert (tmp_path / "path.png").stat().st_size > 10_000

@@ -33,7 +33,8 @@ def geojson(mission: FlownMission) -> dict[str, Any]:
     for index, box in enumerate(scene.boxes):
         ring = [[place[1], place[0]] for place in mission.floor(box).tolist()]
         polygon = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
-        about = {"kind": "obstacle", "obstacle": index}
+        kind = "no-fly zone" if index in scene.no_fly else "obstacle"
+        about = {"kind": kind, "obstacle": index}
         heights = {"base": float(box[0, 2]), "height": float(box[1, 2])}  # as in OpenStreetMap
         features.append(_feature(polygon, about | heights))
     return {"type": "FeatureCollection", "features": features}
@@ -47,8 +48,9 @@ def kml(mission: FlownMission, buildings: bool = True) -> str:
     document = _add(root, "Document")
     _add(document, "name", mission.scene.name)
     _add(_add(_add(document, "Style", id="flight"), "LineStyle"), "width", "3")
-    box_style = _add(_add(document, "Style", id="obstacle"), "PolyStyle")
-    _add(box_style, "color", "b0a0a0a0")  # alpha, blue, green, red
+    for kind, colour in (("obstacle", "b0a0a0a0"), ("no-fly", "602e40d5")):
+        box_style = _add(_add(document, "Style", id=kind), "PolyStyle")
+        _add(box_style, "color", colour)  # alpha, blue, green, red
     flight = _add(document, "Placemark")
     _add(flight, "name", "flight")
     _add(flight, "styleUrl", "#flight")
@@ -71,8 +73,9 @@ def kml(mission: FlownMission, buildings: bool = True) -> str:
         _add(at, "coordinates", _text(_coordinates(mission, point)))
     for index, box in enumerate(mission.scene.boxes if buildings else ()):
         mark = _add(document, "Placemark")
-        _add(mark, "name", f"obstacle {index}")
-        _add(mark, "styleUrl", "#obstacle")
+        kind = "no-fly" if index in mission.scene.no_fly else "obstacle"
+        _add(mark, "name", f"{kind} {index}")
+        _add(mark, "styleUrl", f"#{kind}")
         polygon = _add(mark, "Polygon")
         _add(polygon, "extrude", "1")  # down to the ground
         _add(polygon, "altitudeMode", "absolute")

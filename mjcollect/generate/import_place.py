@@ -38,6 +38,13 @@ def main(argv: list[str] | None = None) -> int:
         boxes, yaw, summary = boxes_of(
             read_buildings(args.file), frame, args.size, args.ceiling, args.height, args.excess
         )
+        zones = 0
+        if args.no_fly is not None:
+            more, turned, found = boxes_of(
+                read_buildings(args.no_fly), frame, args.size, args.ceiling, args.ceiling,
+                args.excess, needed=False,
+            )  # fmt: skip
+            zones, boxes, yaw = len(more), np.concatenate([boxes, more]), np.append(yaw, turned)
         depot = None
         if args.depot is not None:
             place = [*args.depot[:2], args.depot[2] + origin.altitude]
@@ -46,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
         vehicle = VEHICLES[args.vehicle]
         scene = place_scene(
             args.name or args.out.stem, origin, boxes, yaw, args.size, args.ceiling, vehicle, depot,
-            items, args.random_items, args.seed, args.clearance,
+            items, args.random_items, args.seed, args.clearance, zones,
         )  # fmt: skip
         args.out.parent.mkdir(parents=True, exist_ok=True)
         scene.save(args.out)
@@ -57,10 +64,10 @@ def main(argv: list[str] | None = None) -> int:
         name = error.filename or args.out
         print(f"error: {name}: cannot be used: {error.strerror}", file=sys.stderr)
         return 2
-    if summary.unknown:
-        summary.note = f"; they count as {args.height:g} m high"
     print(f"{args.out}: {len(scene.items)} items")
-    print("\n".join(summary.lines()))
+    if args.no_fly is not None:
+        print(f"{found.buildings} no-fly zones, {zones} boxes")
+    print("\n".join(summary.lines(args.height)))
     return 0
 
 
@@ -93,6 +100,11 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--vehicle", choices=list(VEHICLES), default="delivery",
         help="Drone whose limits the scene takes (delivery).",
+    )  # fmt: skip
+    add(
+        "--no-fly", type=Path, metavar="FILE",
+        help="GeoJSON polygons where none may fly, from `min_height` to `height`, in metres above "
+        "ground; without these from the ground to the ceiling.",
     )  # fmt: skip
     add("--clearance", type=float, default=0.0, help="Metres to keep from buildings (0).")
     add("--ceiling", type=float, default=CEILING, help=f"Metres above ground ({CEILING:g}).")

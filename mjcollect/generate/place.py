@@ -59,7 +59,6 @@ class Summary:
         repaired: names of those whose rings crossed. unknown: those without a height.
         cut: those higher than the ceiling.
         boxes: what they became. area, added: m² of footprints, and of what boxes add to them.
-        note: what is said of those without a height.
     """
 
     buildings: int = 0
@@ -71,10 +70,9 @@ class Summary:
     boxes: int = 0
     area: float = 0.0
     added: float = 0.0
-    note: str = ""
 
-    def lines(self) -> list[str]:
-        """Returns the summary as lines of text."""
+    def lines(self, height: float) -> list[str]:
+        """Returns the summary as lines of text; `height` is that of buildings without one (m)."""
         share = self.added / max(self.area, 1e-9)
         out = [
             f"{self.buildings} buildings in the square, {self.elsewhere} outside of it",
@@ -86,7 +84,7 @@ class Summary:
             names = ", ".join(self.repaired[:5]) + (", ..." if len(self.repaired) > 5 else "")
             out.append(f"{len(self.repaired)} with crossing rings, repaired: {names}")
         if self.unknown:
-            out.append(f"{self.unknown} without a height{self.note}")
+            out.append(f"{self.unknown} without a height; they count as {height:g} m high")
         if self.cut:
             out.append(f"{self.cut} higher than the ceiling, cut off there")
         return out
@@ -94,13 +92,14 @@ class Summary:
 
 def boxes_of(
     buildings: Iterable[Building | None], frame: Frame, size: float, ceiling: float = CEILING,
-    height: float = HEIGHT, excess: float = EXCESS,
+    height: float = HEIGHT, excess: float = EXCESS, needed: bool = True,
 ) -> tuple[Array, Array, Summary]:  # fmt: skip
     """Returns boxes (M, 2, 3), their yaw (M,) and what became of the buildings.
 
     Args:
         frame: of the square's centre. size: the square's sides (m). ceiling: m above ground.
         height: of buildings that have none (m). excess: as in `footprints.cover`.
+        needed: whether there must be any in the square.
 
     Raises:
         SceneError: no building lies in the square; the message says what the file holds instead.
@@ -138,11 +137,11 @@ def boxes_of(
             for rectangle in cover(part, excess, window):
                 boxes.append(_box(rectangle, building.base, min(top, ceiling)))
                 yaws.append(rectangle.yaw)
-    if summary.buildings == 0:
+    if summary.buildings == 0 and needed:
         raise _nothing_there(seen, frame, size)
     summary.boxes = len(boxes)
     summary.added = float(sum(np.prod(np.diff(box, axis=0)[0, :2]) for box in boxes)) - summary.area
-    return np.array(boxes), np.array(yaws), summary
+    return np.array(boxes).reshape(-1, 2, 3), np.array(yaws), summary
 
 
 def _level(frame: Frame, degrees: Array) -> Array:
@@ -187,11 +186,12 @@ def _nothing_there(seen: Sequence[Array], frame: Frame, size: float) -> SceneErr
 def place_scene(
     name: str, origin: Origin, boxes: Array, yaw: Array, size: float, ceiling: float,
     vehicle: Vehicle, depot: Array | None = None, items: Array | None = None,
-    random_items: int = 0, seed: int = 0, clearance: float = 0.0,
+    random_items: int = 0, seed: int = 0, clearance: float = 0.0, zones: int = 0,
 ) -> Scene:  # fmt: skip
     """Returns the scene of a place.
 
     Args:
+        zones: so many of the boxes, the last ones, are no-fly zones.
         clearance: to keep from buildings (m).
         depot: (3,) m; by default a free place on the ground near the centre. items: (K, 3) m.
         random_items: so many are drawn at walls, on roofs and on the ground besides.
@@ -207,10 +207,10 @@ def place_scene(
     points = [] if items is None else list(items)
     for k in range(random_items):
         kind = KINDS[k % len(KINDS)]
-        points.append(_item(rng, kind, standing, bounds, vehicle, clearance))
+        points.append(_item(rng, kind, standing, bounds, vehicle, clearance, len(boxes) - zones))
     return Scene(
         name, seed, bounds, depot, np.array(points).reshape(-1, 3), boxes, origin=origin, yaw=yaw,
-        clearance=clearance, **vehicle.limits,
+        clearance=clearance, no_fly=tuple(range(len(boxes) - zones, len(boxes))), **vehicle.limits,
     )  # fmt: skip
 
 
@@ -226,15 +226,15 @@ def _free_place(rng: np.random.Generator, boxes: Array, radius: float, half: flo
 
 def _item(
     rng: np.random.Generator, kind: str, boxes: Array, bounds: Array, vehicle: Vehicle,
-    clearance: float,
+    clearance: float, bodies: int,
 ) -> Array:  # fmt: skip
     """Draws an item at a wall, on a roof or on the ground, where the body can come near it."""
     for _ in range(DRAWS):
         away = rng.uniform(*BESIDE)
-        if kind == "ground" or len(boxes) == 0:
+        if kind == "ground" or bodies == 0:
             point = np.array([*rng.uniform(bounds[0, :2], bounds[1, :2]), away])
         else:
-            box = boxes[rng.integers(len(boxes))]
+            box = boxes[rng.integers(bodies)]
             low, high = box[0], box[1]
             local = rng.uniform(low, high)
             if kind == "roof":

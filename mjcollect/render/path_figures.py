@@ -51,6 +51,12 @@ EDGE = "#5A6672"  # Boxes have edges of this colour.
 WAY: dict[str, Any] = {"color": PURPLE, "linestyle": (0, (4, 2)), "linewidth": 1.4, "zorder": 3}
 MOVING: dict[str, Any] = {"facecolor": "#CC79A755", "edgecolor": PURPLE, "linewidth": 1.4}
 MARGIN = 0.12  # This share of a segment's extent is left free around it.
+NO_FLY: dict[str, Any] = {
+    "facecolor": "#D5402E",
+    "edgecolor": "#8C2114",
+    "alpha": 0.22,
+    "hatch": "//",
+}
 FLOOR = [0, 4, 6, 2]  # corners of a box's floor, counterclockwise
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
@@ -77,7 +83,8 @@ def plot_path_3d(
     figure = new_figure(12, 10)
     low, high = _window(done, guidance_path)
     axes = axes_3d(figure, (0.0, 0.02, 0.86, 0.93), low, high)
-    draw_boxes_3d(axes, _within(done.scene, low, high))
+    draw_boxes_3d(axes, _within(done.scene, low, high, no_fly=False))
+    draw_boxes_3d(axes, _within(done.scene, low, high, no_fly=True), **NO_FLY)
     for box in moving:
         axes.plot(*np.array(box.path).T, **WAY)
         draw_boxes_3d(axes, box.box_at(0.0)[None], **MOVING)
@@ -165,15 +172,16 @@ def axes_top(figure: Figure, place: Place, low: Array, high: Array) -> Any:
     return axes
 
 
-def _within(scene: Scene, low: Array, high: Array) -> Array:
-    """Returns the boxes (M, 2 or 3, 3) in a window, cut to it if they are not turned."""
+def _within(scene: Scene, low: Array, high: Array, no_fly: bool) -> Array:
+    """Returns the bodies or no-fly zones (M, 2 or 3, 3) in a window, cut to it if not turned."""
     boxes, hull = scene.boxes.copy(), np.clip(around(scene.boxes), low, high)
     if len(boxes) == 0:
         return boxes
     still = scene.yaw == 0.0
     boxes[still, :2] = hull[still]
     boxes[:, :2, 2] = hull[:, :, 2]
-    return boxes[np.all(hull[:, 1] > hull[:, 0], axis=-1)]
+    kind = np.isin(np.arange(len(boxes)), scene.no_fly) == no_fly
+    return boxes[kind & np.all(hull[:, 1] > hull[:, 0], axis=-1)]
 
 
 def draw_boxes_3d(axes: Any, boxes: Array, **style: Any) -> None:
@@ -186,14 +194,17 @@ def draw_boxes_3d(axes: Any, boxes: Array, **style: Any) -> None:
 def draw_boxes_top(axes: Any, scene: Scene) -> None:
     """Draws a scene's boxes from above, darker the higher their tops."""
     floor, ceiling = scene.bounds[:, 2]
-    for box in sorted(scene.boxes, key=lambda box: float(box[1, 2])):
+    for index in np.argsort(scene.boxes[:, 1, 2], kind="stable"):
+        box = scene.boxes[index]
         shade = 0.90 - 0.42 * (box[1, 2] - floor) / (ceiling - floor)
-        axes.add_patch(
-            Polygon(
-                corners(box)[FLOOR, :2], facecolor=str(shade), edgecolor=EDGE, alpha=0.75,
-                linewidth=0.8, zorder=1,
-            )
-        )  # fmt: skip
+        style: dict[str, Any] = {
+            "facecolor": str(shade),
+            "edgecolor": EDGE,
+            "alpha": 0.75,
+            "linewidth": 0.8,
+        }
+        style = NO_FLY if index in scene.no_fly else style
+        axes.add_patch(Polygon(corners(box)[FLOOR, :2], zorder=1, **style))
 
 
 def draw_moving(axes: Any, moving: Sequence[MovingBox], across: int, up: int) -> None:
@@ -312,6 +323,8 @@ def _finish(
         handles["moving box"] = Rectangle((0, 0), 1, 1, **MOVING)
     if figure.axes[0].name != "3d":
         handles["box, z range (m)"] = Rectangle((0, 0), 1, 1, color="#AAAAAA")
+    if done.scene.no_fly:
+        handles["no-fly zone"] = Rectangle((0, 0), 1, 1, **NO_FLY)
     figure.legend(
         list(handles.values()), list(handles), loc="lower left", bbox_to_anchor=(0.845, 0.09),
         frameon=False, fontsize=10.5, handletextpad=0.4,

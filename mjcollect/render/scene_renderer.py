@@ -52,7 +52,8 @@ class Stage:
         self._scene = scene
         self._body = self.model.body(UAV_BODY).id
         self._qpos = [int(self.model.joint(name).qposadr[0]) for name in JOINTS]
-        self._boxes = [self.model.geom(f"obstacle_{i}").id for i in range(len(scene.obstacles))]
+        solid = [i for i in range(len(scene.obstacles)) if i not in scene.no_fly]
+        self._boxes = [self.model.geom(f"obstacle_{i}").id for i in solid]
         items = [self.model.site(f"item_{i}").id for i in range(len(scene.items))]
         self._sites = {DEPOT: self.model.site("depot").id, **dict(enumerate(items))}
         self._blades = [

@@ -30,6 +30,7 @@ class _Box(BaseModel):
 
 class _Obstacle(_Box):
     yaw: FiniteFloat = 0.0
+    no_fly: bool = False
 
 
 class _MovingBox(BaseModel):
@@ -122,6 +123,7 @@ def parse(text: str) -> dict[str, Any]:
     flat["bounds"] = [parsed.bounds.min, parsed.bounds.max]
     flat["obstacles"] = [[box.min, box.max] for box in parsed.obstacles]
     flat["yaw"] = [box.yaw for box in parsed.obstacles]
+    flat["no_fly"] = [index for index, box in enumerate(parsed.obstacles) if box.no_fly]
     return flat
 
 

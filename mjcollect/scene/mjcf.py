@@ -23,6 +23,7 @@ NEVER = 1e6  # metres; no contact is so deep, since no scene is so wide
 OBSTACLE_RGBA = np.array(
     [[0.62, 0.70, 0.80, 1.0], [0.78, 0.74, 0.66, 1.0], [0.54, 0.65, 0.70, 1.0]]
 )
+NO_FLY_RGBA = (0.85, 0.25, 0.20, 0.35)
 # These are bright on the grey-blue world, and the colour-blind can tell them apart (Okabe and Ito).
 ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
 DEPOT_RGBA = (0.10, 0.45, 0.85, 1.0)
@@ -58,8 +59,11 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
             **turn,
             contype=0,
             conaffinity=1,
-            material="obstacle",
-            rgba=OBSTACLE_RGBA[index % len(OBSTACLE_RGBA)],
+            **(
+                {"rgba": NO_FLY_RGBA}
+                if index in scene.no_fly
+                else {"material": "obstacle", "rgba": OBSTACLE_RGBA[index % len(OBSTACLE_RGBA)]}
+            ),
         )
     for index, item in enumerate(scene.items):
         root.worldbody.add(

@@ -56,6 +56,8 @@ class Scene:
         clearance: distance to keep between the body and boxes, at least.
         yaw: (M,), degrees by which each box is turned about its centre, counterclockwise as seen
             from above; none for all zero.
+        no_fly: indices of the boxes that are no bodies but places where none may fly; they count as
+            bodies and are only drawn otherwise.
         v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
         epsilon: collection radius, eq. (5).
         slot: time for which one command is held, the paper's delta.
@@ -83,6 +85,7 @@ class Scene:
     origin: Origin | None = None
     clearance: float = 0.0
     yaw: Array = field(default_factory=lambda: np.zeros(0))
+    no_fly: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -99,6 +102,7 @@ class Scene:
         for limit in POSITIVE_LIMITS:
             object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
         object.__setattr__(self, "moving", tuple(map(_moving_box, self.moving)))
+        object.__setattr__(self, "no_fly", tuple(sorted(set(self.no_fly))))
         object.__setattr__(self, "origin", Origin.of(self.origin))
         self._check()
 
@@ -166,8 +170,12 @@ class Scene:
             "depot": self.depot.tolist(),
             "items": self.items.tolist(),
             "obstacles": [
-                _box_dict(box) | ({"yaw": yaw} if yaw != 0.0 else {})
-                for box, yaw in zip(self.obstacles, self.yaw.tolist(), strict=True)
+                _box_dict(box)
+                | ({"yaw": yaw} if yaw != 0.0 else {})
+                | ({"no_fly": True} if index in self.no_fly else {})
+                for index, (box, yaw) in enumerate(
+                    zip(self.obstacles, self.yaw.tolist(), strict=True)
+                )
             ],
         }
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
@@ -242,6 +250,9 @@ class Scene:
         if len(self.yaw) != len(self.obstacles):
             fix = f"needs a number for each of {len(self.obstacles)} obstacles"
             raise SceneError("yaw", self.yaw.tolist(), fix)
+        if not set(self.no_fly) <= set(range(len(self.obstacles))):
+            fix = f"must be indices of {len(self.obstacles)} obstacles, from 0"
+            raise SceneError("no_fly", list(self.no_fly), fix)
         for index, box in enumerate(self.obstacles):
             field = f"obstacles[{index}]"
             if np.any(box[0] >= box[1]):

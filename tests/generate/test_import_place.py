@@ -134,6 +134,26 @@ def test_depot_items_ceiling_and_vehicle_are_as_given(run, tmp_path):
     assert "row 2" in said
 
 
+def test_no_fly_zones_are_boxes_of_their_own_kind(run, tmp_path):
+    zones = [feature([square(0, 0, 12, 20.0)], 0, min_height=5, height=30)]
+    zones += [feature([square(-70, 70, 9)], 1), feature([square(500, 0, 9)], 2)]
+    (tmp_path / "zones.geojson").write_text(json.dumps(collection(zones)))
+    _, without, _ = run()
+    code, scene, said = run(None, "--no-fly", str(tmp_path / "zones.geojson"))
+    assert code == 0
+    assert "2 no-fly zones, 2 boxes" in said
+    count = len(without.obstacles)
+    assert scene.no_fly == (count, count + 1)
+    np.testing.assert_array_equal(scene.obstacles[:count], without.obstacles)
+    np.testing.assert_allclose(scene.obstacles[count:, :, 2], [[5, 30], [0, 120]])
+    walls = [item for k, item in enumerate(scene.items) if k % 3 < 2]
+    for item in walls:  # by buildings, not by zones
+        assert point_box_distance(item, scene.boxes[:count]).min() <= BESIDE[1] + 1e-3
+    assert Scene.from_json(json.dumps(scene.to_dict())) == scene
+    (tmp_path / "zones.geojson").write_text("[")
+    assert run(None, "--no-fly", str(tmp_path / "zones.geojson"))[0] == 2
+
+
 def test_extracts_of_openstreetmap_are_read(run):
     points = [(1, -20.0, -10.0), (2, 20, -10), (3, 20, 10), (4, -20, 10)]
     nodes = "".join(
