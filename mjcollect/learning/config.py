@@ -76,8 +76,8 @@ class LearnConfig:
     threads: int = 1
     """Sets the number of MuJoCo's threads, on which the results do not depend."""
     observation: str = "path"
-    """Selects the observation: guided, path (guided in the frame of the path), robust (guided, and
-    what last kept the flight from its command), or paper."""
+    """Selects the observation: guided, path (guided in the frame of the path), robust (path, and
+    what is known of disturbances, moving boxes and bounds), or paper."""
     reward: str = "lost"
     """Selects the reward: lost (time lost), time (flown), careful (crashes cost more) or paper."""
     shield: bool = True
