@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection, Text3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from PIL import Image
@@ -157,11 +157,10 @@ def test_path_top_is_to_scale_with_an_arrow_a_segment(
     across, up = (axes.transData.transform(p) - axes.transData.transform((0, 0)) for p in
                   ((1000, 0), (0, 1000)))  # fmt: skip
     assert across[0] == pytest.approx(up[1], rel=1e-3)
-    drawn = sorted(p.get_bbox().extents.tolist() for p in axes.patches if isinstance(p, Rectangle))
+    outlines = [p for p in axes.patches if isinstance(p, Polygon)]
+    drawn = sorted([*p.get_xy().min(axis=0), *p.get_xy().max(axis=0)] for p in outlines)
     assert drawn == sorted([*box[0][:2], *box[1][:2]] for box in BOXES)
-    shades = {
-        p.get_bbox().x0: p.get_facecolor()[0] for p in axes.patches if isinstance(p, Rectangle)
-    }
+    shades = {p.get_xy()[:, 0].min(): p.get_facecolor()[0] for p in outlines}
     assert shades[100] > shades[300] > shades[700]  # the higher, the darker
     arrows = [t for t in axes.texts if getattr(t, "arrow_patch", None) is not None]
     assert len(arrows) == 4
