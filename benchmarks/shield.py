@@ -55,9 +55,8 @@ def fly_segments(args: Args, name: str) -> list[Flight]:
     """Flies every segment by one set of manoeuvres, in a process that has not flown before."""
     # The module; the package's attribute of that name is the function.
     rule: Any = importlib.import_module("mjcollect.flight.shield")
-    rule.HELD, rule.BENT, rule.TIMES = MANOEUVRES[
-        name
-    ]  # the first flight compiles them into the code
+    # The first flight compiles them into the code.
+    rule.HELD, rule.BENT, rule.TIMES = MANOEUVRES[name]
     policy = TrainedPolicy.load(weights_file(args.policy))
     numbers = range(FIRST, FIRST + args.segments)
     courses = (segment_course(0, n, layout) for layout in LAYOUTS for n in numbers)

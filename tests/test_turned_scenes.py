@@ -26,9 +26,14 @@ BOUNDS = [[0.0, 0, 0], [200, 200, 60]]
 
 
 def gaps(points, scene):
+    """Distance (N,) of points (N, 3) to a scene's nearest box."""
+    return gaps_to(points, scene.obstacles, scene.yaw)
+
+
+def gaps_to(points, boxes, yaws):
     """Distance (N,) of points (N, 3) to the nearest box, each turned by complex numbers."""
     least = np.full(len(points), np.inf)
-    for (low, high), yaw in zip(scene.obstacles, scene.yaw, strict=True):
+    for (low, high), yaw in zip(boxes, yaws, strict=True):
         away = points - (low + high) / 2
         level = (away[:, 0] + 1j * away[:, 1]) * np.exp(-1j * np.radians(yaw))
         over = np.abs(np.stack([level.real, level.imag, away[:, 2]], axis=1)) - (high - low) / 2
@@ -44,10 +49,7 @@ def strewn(seed, count=12, **fields):
         half, yaw = rng.uniform([3, 8, 10], [12, 30, 30]), rng.uniform(-180, 180)
         centre = np.array([*rng.uniform(40, 160, 2), half[2]])
         box = np.stack([centre - half, np.minimum(centre + half, [200, 200, 60])])
-        one = Scene("t", 0, BOUNDS, ends[0], ends[1:], [], yaw=[])
-        one = dict(obstacles=np.array([box]), yaw=np.array([yaw]))
-        lone = type("Lone", (), one)
-        if gaps(ends, lone).min() > 12:
+        if gaps_to(ends, [box], [yaw]).min() > 12:
             boxes.append(box)
             yaws.append(yaw)
     return Scene("strewn", seed, BOUNDS, ends[0], ends[1:], boxes, yaw=yaws, **fields)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
 from mjcollect.export.formats import FORMATS
 from mjcollect.export.mission import ExportError, FlownMission
-from mjcollect.export.plan import CROSS_TRACK, HOVER, plan
+from mjcollect.export.plan import CROSS_TRACK, HOVER, plan_text
 from mjcollect.scene.file_format import SceneError
 
 
@@ -47,9 +46,10 @@ def main(argv: list[str] | None = None) -> int:
         if out.exists() and not args.overwrite:
             raise ExportError(f"--out: {out}: exists; add --overwrite or name another file")
         mission = FlownMission.load(args.run)
-        text = FORMATS[args.format](mission)
         if args.format == "plan":
-            text = json.dumps(plan(mission, args.cross_track, args.hover), indent=1) + "\n"
+            text = plan_text(mission, args.cross_track, args.hover)
+        else:
+            text = FORMATS[args.format](mission)
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text, encoding="utf-8")
     except (ExportError, SceneError, ValueError) as error:

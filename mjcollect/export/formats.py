@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 from mjcollect.export.maps import csv, geojson, kml
 from mjcollect.export.mission import FlownMission
-from mjcollect.export.plan import plan
+from mjcollect.export.plan import plan_text
 
 FORMATS: dict[str, Callable[[FlownMission], str]] = {
-    "plan": lambda mission: json.dumps(plan(mission), indent=1) + "\n",
+    "plan": plan_text,
     "kml": kml,
     "geojson": lambda mission: json.dumps(geojson(mission)) + "\n",
     "csv": csv,

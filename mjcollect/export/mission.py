@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.turns import corners
+from mjcollect.geometry.turns import FLOOR, corners
 from mjcollect.scene.place import Frame
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
@@ -95,4 +95,4 @@ class FlownMission:
 
     def floor(self, box: Array) -> Array:
         """Returns the floor (4, 3) of a box (2 or 3, 3) as places, counterclockwise."""
-        return self.frame.geographic(corners(box)[[0, 4, 6, 2]])
+        return self.frame.geographic(corners(box)[FLOOR])

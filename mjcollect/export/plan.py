@@ -6,6 +6,7 @@ Altitudes are above the take-off point, the depot; commands are those of MAVLink
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,11 @@ def plan(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float =
         },
         "rallyPoints": {"version": 2, "points": []},
     }
+
+
+def plan_text(mission: FlownMission, cross_track: float = CROSS_TRACK, hover: float = HOVER) -> str:
+    """Returns the text of the plan's file."""
+    return json.dumps(plan(mission, cross_track, hover), indent=1) + "\n"
 
 
 def _rise(scene: Scene, first: Array) -> float:

@@ -16,7 +16,7 @@ from mjcollect.flight.projection import project_row
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import FAR, box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, compiled
-from mjcollect.geometry.vectors import dot, into_ball, norm
+from mjcollect.geometry.vectors import dot, into_ball, norm, unit
 
 SURE = 0.8  # The part towards an obstacle is cut to this share of what braking would allow.
 TIMES = 2  # A command is deflected at so many obstacles, one after the other.
@@ -84,10 +84,8 @@ def deflect_row(
 @compiled
 def towards_box(point: Array, box: Array, away: Array) -> float:
     """Returns the distance (m) of a point to a box; writes the direction there to `away` (3,)."""
-    gap = box_offset(point, box, away)
-    for k in range(3):
-        away[k] /= max(gap, 1e-9)
-    return gap
+    box_offset(point, box, away)
+    return unit(away, away)
 
 
 @compiled
@@ -105,12 +103,8 @@ def nearest_ahead(
             and what is kept clear there (m). moving, drift: (B, 2, 3), (B, 3) moving boxes (m) and
             their velocities (m/s).
     """
-    boxes, bounds, here, inner = (
-        world.boxes[w],
-        world.bounds[w],
-        path[0],
-        reach - world.radius[w, 0],
-    )
+    boxes, bounds, here = world.boxes[w], world.bounds[w], path[0]
+    inner = reach - world.radius[w, 0]
     first, gap = first_outside(path, inner, count, bounds, away), np.inf
     flow[:] = 0.0
     if first < count:

@@ -229,10 +229,10 @@ def disturbed_row(
             best, slots, changed = room, more, True
             chosen[:] = tried
         if best >= asked:
-            a[:] = chosen
-            held[:] = chosen
-            return slots, best, changed
+            break
     for n in range(len(BENT) + 8):
+        if best >= asked:
+            break
         if n < len(BENT):
             for k in range(3):
                 tried[k] = braking[k] + BENT[n] * (a[k] - braking[k])
@@ -253,8 +253,6 @@ def disturbed_row(
         if room > best:
             best, slots, changed = room, more, True
             chosen[:] = tried
-        if best >= asked:
-            break
     a[:] = chosen
     held[:] = chosen
     return slots, best, changed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -271,8 +272,6 @@ def read_items(path: Any, frame: Frame) -> Array:
     Raises:
         SceneError: a row is no place; the message names it.
     """
-    import csv
-
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]

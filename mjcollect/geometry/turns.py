@@ -12,6 +12,7 @@ import numpy as np
 
 from mjcollect.geometry.compiled import Array, compiled
 
+FLOOR = [0, 4, 6, 2]  # corners of a box's floor in `corners`, counterclockwise
 FORWARD = (1.0, 0.0, 0.0)  # the third row of a box that is not turned
 
 

@@ -18,7 +18,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
-from mjcollect.geometry.turns import around, corners
+from mjcollect.geometry.turns import FLOOR, around, corners
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.overlay import SPEED_MAP
 from mjcollect.render.time_figures import (
@@ -57,7 +57,6 @@ NO_FLY: dict[str, Any] = {
     "alpha": 0.22,
     "hatch": "//",
 }
-FLOOR = [0, 4, 6, 2]  # corners of a box's floor, counterclockwise
 BOX_FACES = np.array(
     [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
 )

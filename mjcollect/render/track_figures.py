@@ -14,8 +14,8 @@ from matplotlib.patches import Polygon, Rectangle
 
 from mjcollect.envs.disturbed import HOME, DisturbedFlight, DisturbedFlights
 from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.turns import around, corners
-from mjcollect.render.path_figures import EDGE, FLOOR, MOVING, TEXT, draw_moving
+from mjcollect.geometry.turns import FLOOR, around, corners
+from mjcollect.render.path_figures import EDGE, MOVING, TEXT, draw_moving
 from mjcollect.render.time_figures import BLACK, BLUE, LABEL, ORANGE, RED, save
 from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.air import Air

@@ -93,7 +93,7 @@ class Scene:
         Raises:
             SceneError: a rule is broken; it names field, value and fix.
         """
-        if np.size(self.yaw) == 0 or np.array_equal(self.yaw, np.zeros(np.shape(self.yaw))):
+        if np.array_equal(self.yaw, np.zeros(np.shape(self.yaw))):
             object.__setattr__(self, "yaw", np.zeros(len(self.obstacles)))
         for name, shape in _SHAPES.items():
             array = _array(name, getattr(self, name), shape)
