@@ -24,7 +24,7 @@ from mjcollect.envs.episode import SAVED, Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
 from mjcollect.flight.disturbance import Disturbances
 from mjcollect.geometry.compiled import Array, Bools, Indices
-from mjcollect.scene.mjcf import build, compile_model
+from mjcollect.scene.mjcf import build, compile_model, let_boxes_sleep
 from mjcollect.scene.scene import Scene
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -73,7 +73,8 @@ class Simulations:
         self.episodes = Episodes(courses, count, rules, disturbances)
         solid = PRESETS[rules.reward].crash_ends
         scenes = {id(course.scene): course.scene for course in courses}
-        models = {key: _compiled(scene, solid) for key, scene in scenes.items()}
+        alone = len(scenes) == 1  # Then its boxes may sleep: each thread's data is its own.
+        models = {key: _compiled(scene, solid, alone) for key, scene in scenes.items()}
         each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
         self._models = each
         largest = each[0] if len(models) == 1 else _largest(list(scenes.values()))
@@ -184,9 +185,12 @@ class Simulations:
 
 
 @lru_cache(maxsize=4)
-def _compiled(scene: Scene, solid: bool) -> mujoco.MjModel:
+def _compiled(scene: Scene, solid: bool, alone: bool) -> mujoco.MjModel:
     """Returns the scene's model, which training and evaluation share: do not change it."""
-    return compile_model(scene, solid=solid)
+    model = compile_model(scene, solid=solid)
+    if alone:
+        let_boxes_sleep(model)
+    return model
 
 
 def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:

@@ -135,7 +135,7 @@ class Course:
         kinds = (kinds if kind == "spread" else np.zeros(count)).astype(np.intp)
         space = (
             plain(scene.bounds),
-            plain(scene.boxes),
+            scene.tree,
             scene.a_max,
             scene.slot,
             scene.reach,

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mjcollect.flight.disturbance_estimate import Estimate
-from mjcollect.flight.world import World, scene_of
+from mjcollect.flight.world import World, scene_of, tree_of
 from mjcollect.geometry.boxes import FAR, box_offset, nearest_point_offset
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.tree import Tree, first_member, next_leaf
 from mjcollect.geometry.vectors import dot, norm
 from mjcollect.guidance.approach import LOOK_AHEAD, Approach
 
@@ -72,8 +73,24 @@ class State(NamedTuple):
 
 
 @compiled
+def add_if_near(gap: float, offset: Array, reach: float, gaps: Array, out: Array) -> None:
+    """Adds a box to the nearest in `gaps`, `out`, see `nearest_boxes`, if it is one of them."""
+    slot = len(gaps) - 1
+    if gap >= gaps[slot]:
+        return
+    while slot > 0 and gaps[slot - 1] > gap:
+        gaps[slot] = gaps[slot - 1]
+        for k in range(3):
+            out[3 * slot + k] = out[3 * slot - 3 + k]
+        slot -= 1
+    gaps[slot] = gap
+    for k in range(3):
+        out[3 * slot + k] = offset[k] / max(gap, 1e-9) / (1.0 + gap / reach)
+
+
+@compiled
 def nearest_boxes(
-    boxes: Array, q: Array, reach: float, far: float, gaps: Array, offset: Array, out: Array
+    tree: Tree, q: Array, reach: float, far: float, gaps: Array, offset: Array, out: Array
 ) -> None:
     """Writes direction times closeness of the nearest boxes, nearest first.
 
@@ -81,23 +98,24 @@ def nearest_boxes(
     exactly 0, so that an observation does not depend on how many boxes other simulations have.
 
     Args:
-        boxes: (M, 2, 3) m. q: (3,) m. gaps, offset: (n,) and (3,) scratch. out: (3 n,).
+        tree: of the boxes, moving ones besides. q: (3,) m. gaps, offset: (n,) and (3,) scratch.
+            out: (3 n,).
     """
     count = len(gaps)
-    gaps[:], out[:] = far, 0.0
-    for b in range(len(boxes)):
-        gap = box_offset(q, boxes[b], offset)
-        if gap >= gaps[count - 1] or gap >= far / 2:
-            continue
-        slot = count - 1
-        while slot > 0 and gaps[slot - 1] > gap:
-            gaps[slot] = gaps[slot - 1]
-            for k in range(3):
-                out[3 * slot + k] = out[3 * slot - 3 + k]
-            slot -= 1
-        gaps[slot] = gap
-        for k in range(3):
-            out[3 * slot + k] = offset[k] / max(gap, 1e-9) / (1.0 + gap / reach)
+    around = reach if len(tree.nodes) > 1 else far / 2
+    while True:  # in wider and wider surroundings, until as many are found as are wanted
+        gaps[:], out[:] = far / 2, 0.0
+        leaf = next_leaf(tree, -1, q, q, around)
+        while leaf >= 0:
+            for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+                gap = box_offset(q, tree.boxes[tree.members[m]], offset)
+                add_if_near(gap, offset, reach, gaps, out)
+            leaf = next_leaf(tree, leaf, q, q, min(around, gaps[count - 1]))
+        if gaps[count - 1] <= around or around >= far / 2:
+            break
+        around = min(4 * around, far / 2)
+    for b in range(len(tree.members), len(tree.boxes)):
+        add_if_near(box_offset(q, tree.boxes[b], offset), offset, reach, gaps, out)
 
 
 @compiled
@@ -170,7 +188,7 @@ def guided_rows(
         braking_part(
             near, approach.far[i], approach.closing[i], a_max, v_max, world.slot, row[AT.braking :]
         )
-        nearest_boxes(world.boxes[w], q[i], REACH, FAR, gaps, offset, boxes)
+        nearest_boxes(tree_of(world, w), q[i], REACH, FAR, gaps, offset, boxes)
         for b in range(NEAREST_BOXES):
             seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[AT.boxes + 3 * b :])
         for k in range(3):

@@ -7,35 +7,40 @@ import numpy as np
 from mjcollect.flight.contact import is_outside
 from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled
+from mjcollect.geometry.tree import Tree, first_member, next_leaf
 from mjcollect.geometry.vectors import dot, from_ball, norm
 
 
 @compiled
 def room_to_brake(
-    bounds: Array, boxes: Array, a_max: float, slot: float, radius: float, q: Array, v: Array
+    bounds: Array, tree: Tree, a_max: float, slot: float, radius: float, q: Array, v: Array
 ) -> bool:
     """Returns whether a body is in bounds and clear of boxes, and stays so while it brakes.
 
     Args:
-        bounds: (2, 3) m. boxes: (M, 2, 3) m. a_max: m/s^2. slot: s. radius: the body's (m).
+        bounds: (2, 3) m. tree: of the boxes. a_max: m/s^2. slot: s. radius: the body's (m).
         q, v: (3,) position (m) and velocity (m/s).
     """
-    ahead, speed = np.empty(3), norm(v)
+    ahead, low, high, speed = np.empty(3), np.empty(3), np.empty(3), norm(v)
     # Braking in whole slots needs up to a_max slot^2 / 8 more than v^2 / (2 a_max).
     reach = speed / (2 * a_max) + a_max * slot**2 / 8 / max(speed, 1e-9)
     for k in range(3):
         ahead[k] = q[k] + v[k] * reach
+        low[k], high[k] = min(q[k], ahead[k]), max(q[k], ahead[k])
     if is_outside(bounds, q, 0.0) or is_outside(bounds, ahead, 0.0):
         return False
-    free = True
-    for b in range(len(boxes)):  # Iterating over boxes would hide that they are contiguous.
-        free = free and segment_gap(q, ahead, boxes[b]) >= radius
-    return free
+    leaf = next_leaf(tree, -1, low, high, radius)
+    while leaf >= 0:
+        for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+            if segment_gap(q, ahead, tree.boxes[tree.members[m]]) < radius:
+                return False
+        leaf = next_leaf(tree, leaf, low, high, radius)
+    return True
 
 
 @compiled
 def try_starts(
-    bounds: Array, boxes: Array, a_max: float, slot: float, radius: float, middle: Array,
+    bounds: Array, tree: Tree, a_max: float, slot: float, radius: float, middle: Array,
     along: Array, half: Array, top: Array, kind: Indices, where: Array, where_share: Array,
     speed: Array, speed_share: Array, way_q: Array, way_v: Array, todo: Indices, q: Array,
     v: Array, wanting: Bools,
@@ -64,4 +69,4 @@ def try_starts(
         else:
             for k in range(3):
                 q[i, k], v[i, k] = way_q[j, k], way_v[j, k]
-        wanting[i] = not room_to_brake(bounds, boxes, a_max, slot, radius, q[i], v[i])
+        wanting[i] = not room_to_brake(bounds, tree, a_max, slot, radius, q[i], v[i])

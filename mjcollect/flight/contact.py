@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.flight.world import World, scene_of
+from mjcollect.flight.world import World, scene_of, tree_of
 from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
+from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
@@ -41,15 +42,19 @@ class Slot:
 @compiled
 def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
     """Adds to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
-    radius, boxes = world.radius[w, 0], world.boxes[w]
+    radius, tree = world.radius[w, 0], tree_of(world, w)
     low, high = path[0].copy(), path[0].copy()
     for s in range(1, len(path)):
         for k in range(3):
             low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
-    for b in range(len(boxes)):  # iteration would forget that boxes are contiguous
-        if is_near(low, high, radius, boxes[b]):
-            for s in range(len(touch)):
-                touch[s] = touch[s] or segment_gap(path[s], path[s + 1], boxes[b]) < radius
+    leaf = next_leaf(tree, -1, low, high, radius)
+    while leaf >= 0:
+        for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+            box = tree.boxes[tree.members[m]]
+            if is_near(low, high, radius, box):
+                for s in range(len(touch)):
+                    touch[s] = touch[s] or segment_gap(path[s], path[s + 1], box) < radius
+        leaf = next_leaf(tree, leaf, low, high, radius)
 
 
 @compiled

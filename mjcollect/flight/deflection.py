@@ -13,9 +13,10 @@ import math
 import numpy as np
 
 from mjcollect.flight.projection import project_row
-from mjcollect.flight.world import World
+from mjcollect.flight.world import World, tree_of
 from mjcollect.geometry.boxes import FAR, box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, compiled
+from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.vectors import dot, into_ball, norm, unit
 
 SURE = 0.8  # The part towards an obstacle is cut to this share of what braking would allow.
@@ -103,7 +104,7 @@ def nearest_ahead(
             and what is kept clear there (m). moving, drift: (B, 2, 3), (B, 3) moving boxes (m) and
             their velocities (m/s).
     """
-    boxes, bounds, here = world.boxes[w], world.bounds[w], path[0]
+    tree, bounds, here = tree_of(world, w), world.bounds[w], path[0]
     inner = reach - world.radius[w, 0]
     first, gap = first_outside(path, inner, count, bounds, away), np.inf
     flow[:] = 0.0
@@ -111,10 +112,18 @@ def nearest_ahead(
         gap = -inner[first]
         for k in range(3):
             gap += max(away[k] * (bounds[1, k] - here[k]), away[k] * (bounds[0, k] - here[k]))
-    for b in range(len(boxes)):
-        hit = first_hit(path, reach, first, boxes[b])
-        if hit < first:
-            first, gap = hit, towards_box(here, boxes[b], away) - reach[hit]
+    low, high, most = here.copy(), here.copy(), reach[:count].max()
+    for p in range(1, count):
+        for k in range(3):
+            low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
+    leaf = next_leaf(tree, -1, low, high, most)
+    while leaf >= 0:
+        for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+            box = tree.boxes[tree.members[m]]
+            hit = first_hit(path, reach, first, box)
+            if hit < first:
+                first, gap = hit, towards_box(here, box, away) - reach[hit]
+        leaf = next_leaf(tree, leaf, low, high, most)
     for b in range(len(moving)):
         if moving[b, 0, 0] > FAR / 2:
             continue

@@ -26,9 +26,10 @@ from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.projection import project_row
 from mjcollect.flight.shield import BENT, HELD, braking_row
-from mjcollect.flight.world import World, scene_of
+from mjcollect.flight.world import World, scene_of, tree_of
 from mjcollect.geometry.boxes import box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
 from mjcollect.geometry.vectors import norm
 
@@ -135,7 +136,7 @@ def room_row(
     What is asked for gives way before boxes that stand only: before moving boxes and bounds the
     whole margin is.
     """
-    boxes, radius, room = world.boxes[w], world.radius[w, 0], 1.0
+    tree, radius, room = tree_of(world, w), world.radius[w, 0], 1.0
     spread, blur = margins.spread[i, 0] * LAG, margins.blur[i, 0]
     stopped = count - len(RESTS)  # At rest it is held where it is: the margin grows no more.
     low, high, offset = path[0].copy(), path[0].copy(), np.empty(3)
@@ -151,16 +152,21 @@ def room_row(
             room = min(room, share(inside + MARGIN, margin) - 1.0 + asked)
         if room < least:
             return room
-    for b in range(len(boxes)):
-        if is_near(low, high, radius + most, boxes[b]):
+    leaf = next_leaf(tree, -1, low, high, radius + most)
+    while leaf >= 0:
+        for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+            box = tree.boxes[tree.members[m]]
+            if not is_near(low, high, radius + most, box):
+                continue
             for p in range(1, stopped):
                 margin = max(blur + spread * times[p], SAG)
-                gap = segment_gap(path[p - 1], path[p], boxes[b])
-                if p == 1 and gap >= box_offset(path[0], boxes[b], offset) - 1e-9:
-                    gap = box_offset(path[1], boxes[b], offset)  # What is now cannot be helped.
+                gap = segment_gap(path[p - 1], path[p], box)
+                if p == 1 and gap >= box_offset(path[0], box, offset) - 1e-9:
+                    gap = box_offset(path[1], box, offset)  # What is now cannot be helped.
                 room = min(room, share(gap - radius, margin))
             if room < least:
                 return room
+        leaf = next_leaf(tree, leaf, low, high, radius + most)
     for b in range(margins.boxes.shape[1]):
         box = margins.boxes[i, b]
         if box[0, 0] > 1e8:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mjcollect.flight.contact import contacts
 from mjcollect.flight.world import World
 from mjcollect.geometry.boxes import FAR, nearest_point_offset
-from mjcollect.geometry.compiled import Array, Bools, plain
+from mjcollect.geometry.compiled import Array, Bools
 
 SIDE = 40.0  # metres; each box that is drawn is a cube with sides of this length
 SWING = 60.0  # metres; its centre moves this far to both sides of the way
@@ -169,8 +169,8 @@ class MovingBoxes:
         drift = self.centres(seconds) - self.centres()[:, :, None]
         touch = np.zeros((len(whole), whole.shape[1] - 1), dtype=bool)
         for b in range(here.shape[1]):
-            one = plain(here[:, b : b + 1])
-            touch = contacts(world._replace(boxes=one), whole - drift[:, b], touch)
+            one = world.with_boxes(here[:, b : b + 1])
+            touch = contacts(one, whole - drift[:, b], touch)
         return touch
 
     def move(self, seconds: float) -> None:

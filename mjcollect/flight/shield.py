@@ -14,9 +14,10 @@ import numpy as np
 
 from mjcollect.flight.deflection import TIMES, deflected
 from mjcollect.flight.projection import project_row
-from mjcollect.flight.world import World, scene_of
+from mjcollect.flight.world import World, scene_of, tree_of
 from mjcollect.geometry.boxes import box_offset, segment_gap, slab
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
+from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
 from mjcollect.geometry.vectors import norm
 
@@ -69,7 +70,8 @@ def roll_row(world: World, w: int, q: Array, v: Array, a: Array, more: int, path
 @compiled
 def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -> bool:
     """Returns whether `count` points of a path from q stay within bounds and clear of boxes."""
-    boxes, bounds, radius = world.boxes[w], world.bounds[w], world.radius[w, 0]
+    tree, bounds, radius = tree_of(world, w), world.bounds[w], world.radius[w, 0]
+    hull = np.empty((2, 3))
     low, high, last, offset = path[0].copy(), path[0].copy(), np.empty(3), np.empty(3)
     for k in range(3):
         for p in range(1, count - 1):
@@ -85,19 +87,24 @@ def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -
         if min(low[k], end) < least or max(high[k], end) > most:
             return False
         last[k] = end - path[count - 2, k]
-    for b in range(len(boxes)):
-        reach = radius + MARGIN
-        near = is_near(low, high, reach, boxes[b])
-        if not near:
-            enter, leave = slab(path[count - 2], last, boxes[b], reach, 1e-12)
-            near = enter <= leave and leave >= 0.0 and enter <= 1.0
-        if near:
-            # A body nearer than that, as at a start, must come no nearer and be away after a step.
-            here = box_offset(q, boxes[b], offset)
-            for p in range(1, count):
-                distance = segment_gap(path[p - 1], path[p], boxes[b])
-                if distance < (min(reach, here) if p == 1 else reach):
-                    return False
+        hull[0, k], hull[1, k] = min(low[k], end), max(high[k], end)
+    reach = radius + MARGIN
+    leaf = next_leaf(tree, -1, hull[0], hull[1], reach)
+    while leaf >= 0:
+        for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+            box = tree.boxes[tree.members[m]]
+            near = is_near(low, high, reach, box)
+            if not near:
+                enter, leave = slab(path[count - 2], last, box, reach, 1e-12)
+                near = enter <= leave and leave >= 0.0 and enter <= 1.0
+            if near:
+                # A body nearer than that, as at a start, must come no nearer and soon be away.
+                here = box_offset(q, box, offset)
+                for p in range(1, count):
+                    distance = segment_gap(path[p - 1], path[p], box)
+                    if distance < (min(reach, here) if p == 1 else reach):
+                        return False
+        leaf = next_leaf(tree, leaf, hull[0], hull[1], reach)
     return True
 
 

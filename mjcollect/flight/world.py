@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mjcollect.geometry.boxes import EMPTY_BOX
-from mjcollect.geometry.compiled import Array, compiled
+from mjcollect.geometry.compiled import Array, Indices, compiled
+from mjcollect.geometry.tree import Tree, in_one_leaf
 from mjcollect.geometry.turns import with_turn
 from mjcollect.scene.scene import Scene
 
@@ -19,6 +19,7 @@ class World(NamedTuple):
 
     Attributes:
         bounds: (N, 2, 3) m. boxes: (N, M, 2 or 3, 3) m, padded with `EMPTY_BOX`.
+        nodes, members: (N, ..., 2, 3) m, (N, M), the boxes' trees, see `geometry.tree.Tree`.
         v_max, a_max, radius: (N, 1) in m/s, m/s^2, m.
         slot, step: seconds of a slot and of a physics step, the same for all simulations.
         substeps: physics steps in a slot, n.
@@ -26,6 +27,8 @@ class World(NamedTuple):
 
     bounds: Array
     boxes: Array
+    nodes: Array
+    members: Indices
     v_max: Array
     a_max: Array
     radius: Array
@@ -52,9 +55,13 @@ class World(NamedTuple):
         turn = any(scene.boxes.shape[1] == 3 for scene in scenes)
         empty = with_turn(EMPTY_BOX) if turn else EMPTY_BOX
         boxes = np.broadcast_to(empty, (len(scenes), max(most, 1), *empty.shape)).copy()
+        trees: dict[int, Tree] = {}
         for index, scene in enumerate(scenes):
             own = with_turn(scene.boxes) if turn else scene.boxes
             boxes[index, : len(scene.obstacles)] = own
+            if id(scene) not in trees:
+                trees[id(scene)] = Tree.of(boxes[index])
+        tree = [trees[id(scene)] for scene in scenes]
 
         def column(field: str) -> Array:
             return np.array([[getattr(scene, field)] for scene in scenes])
@@ -62,6 +69,8 @@ class World(NamedTuple):
         return cls(
             bounds=np.stack([scene.bounds for scene in scenes]),
             boxes=boxes,
+            nodes=np.stack([each.nodes for each in tree]),
+            members=np.stack([each.members for each in tree]),
             v_max=column("v_max"),
             a_max=column("a_max"),
             radius=column("reach"),
@@ -70,13 +79,19 @@ class World(NamedTuple):
             substeps=first.substeps,
         )
 
-    def rows(self, which: NDArray[np.intp]) -> World:
+    def with_boxes(self, boxes: Array) -> World:
+        """Returns the world with a few other boxes (N, M, 2 or 3, 3) in m."""
+        return self._replace(**in_one_leaf(boxes)._asdict())
+
+    def rows(self, which: Indices) -> World:
         """Returns the constants of the simulations `which` (n,) only."""
         if len(self.bounds) == 1:
             return self
         return self._replace(
             bounds=self.bounds[which],
             boxes=self.boxes[which],
+            nodes=self.nodes[which],
+            members=self.members[which],
             v_max=self.v_max[which],
             a_max=self.a_max[which],
             radius=self.radius[which],
@@ -87,3 +102,9 @@ class World(NamedTuple):
 def scene_of(world: World, i: int) -> int:
     """Returns the index of simulation i's scene in the world."""
     return i if len(world.bounds) > 1 else 0
+
+
+@compiled
+def tree_of(world: World, w: int) -> Tree:
+    """Returns the tree of the boxes of scene w; boxes that move are not in it."""
+    return Tree(world.boxes[w], world.nodes[w], world.members[w])

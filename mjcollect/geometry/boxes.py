@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mjcollect.geometry.compiled import Array, Bools, compiled, plain, rows
+from mjcollect.geometry.compiled import Array, compiled, rows
 from mjcollect.geometry.turns import along, from_axes, in_axes, turn_back
 from mjcollect.geometry.vectors import norm
 
@@ -100,41 +99,6 @@ def segment_gaps(start: Array, end: Array, boxes: Array, gap: Array) -> None:
         gap[i] = segment_gap(start[i], end[i], boxes[i])
 
 
-@compiled
-def segments_clear(start: Array, end: Array, boxes: Array, radius: float, clear: Bools) -> None:
-    """Writes to `clear` (n,) whether each segment keeps `radius` m from every box (M, 2, 3)."""
-    for i in range(len(start)):
-        clear[i] = True
-        for b in range(len(boxes)):
-            if segment_gap(start[i], end[i], boxes[b]) < radius:
-                clear[i] = False
-                break
-
-
-@compiled
-def in_sight(boxes: Array, q: Array, offset: Array) -> bool:
-    """Returns whether the segment from q (3,) to q + offset misses every box (M, 2, 3)."""
-    for b in range(len(boxes)):
-        enter, leave = slab(q, offset, boxes[b], 0.0, 1e-12)
-        if enter <= leave and leave >= 0.0 and enter <= 1.0:
-            return False
-    return True
-
-
-@compiled
-def free_way(boxes: Array, grow: float, q: Array, direction: Array) -> float:
-    """Returns the metres from q along `direction` to the first box grown by `grow`; at most 1e6.
-
-    Grown boxes that q itself lies in do not count.
-    """
-    free = 1e6
-    for b in range(len(boxes)):
-        enter, leave = slab(q, direction, boxes[b], grow, 1e-9)
-        if 0.0 <= enter <= leave:
-            free = min(free, enter)
-    return free
-
-
 def nearest_point_offset(points: Array, boxes: Array) -> Array:
     """Returns the vector from each point to the nearest point of each box; zero inside.
 
@@ -178,24 +142,3 @@ def inflate(boxes: Array, margin: float | Array) -> Array:
     grow = np.asarray(margin, dtype=np.float64)[..., None, None]
     low, high, turn = boxes[..., :1, :], boxes[..., 1:2, :], boxes[..., 2:, :]
     return np.concatenate([low - grow, high + grow, turn], axis=-2)
-
-
-def segment_clear(start: Array, end: Array, boxes: Array, radius: float) -> NDArray[np.bool_]:
-    """Returns whether a body of `radius` metres flies each segment without touching any box.
-
-    Args:
-        start, end: (..., 3). boxes: (M, 2, 3).
-
-    Returns:
-        (...) booleans.
-    """
-    shape = np.broadcast_shapes(start.shape[:-1], end.shape[:-1])
-    clear = np.empty(shape, dtype=bool)
-    segments_clear(
-        rows(start, shape, (3,)),
-        rows(end, shape, (3,)),
-        plain(boxes),
-        float(radius),
-        clear.reshape(-1),
-    )
-    return clear

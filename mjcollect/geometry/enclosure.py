@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.occupancy import Mask, blocked_grid
+from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.turns import inside
 
 _DEPOT = -1  # This node is the depot, as in `scene.order`, which this room cannot import.
@@ -38,12 +39,12 @@ class Space(NamedTuple):
     """Holds what is needed of a scene, see `scene.scene.Scene`; node -1 is the depot.
 
     Attributes:
-        bounds: (2, 3) m. obstacles: (M, 2 or 3, 3) m. uav_radius: m. depot: (3,). items: (K, 3).
+        bounds: (2, 3) m. tree: of the obstacles. uav_radius: m. depot: (3,). items: (K, 3).
         epsilon: m, how near to an item the body must come.
     """
 
     bounds: Array
-    obstacles: Array
+    tree: Tree
     uav_radius: float
     depot: Array
     items: Array
@@ -72,13 +73,13 @@ def walled_in(space: Space) -> list[int]:
 def _unconnected(space: Space) -> list[int]:
     """Returns the items that no grid shows to be connected to the depot."""
     left = list(range(len(space.items)))
-    if len(space.obstacles) == 0:
+    if len(space.tree.boxes) == 0:
         return []
     extent = space.bounds[1] - space.bounds[0]
     for cells in _GRIDS:
         count = np.maximum(1, np.ceil(extent * cells / extent.max())).astype(int)
         shape = (int(count[0]) + 1, int(count[1]) + 1, int(count[2]) + 1)
-        free = ~blocked_grid(space.bounds, space.obstacles, space.uav_radius, shape)
+        free = ~blocked_grid(space.bounds, space.tree.boxes, space.uav_radius, shape)
         labels = _label(free, corners=False)
         home = _entries(space, _DEPOT, labels)
         left = [item for item in left if home.isdisjoint(_entries(space, item, labels))]
@@ -117,7 +118,7 @@ def _entries(space: Space, node: int, labels: NDArray[np.int32]) -> set[int]:
     if np.any(touching):
         return set(found[touching].tolist())
     nearest = np.argsort(np.linalg.norm(away, axis=1), kind="stable")[:_LOOKS]
-    seen = segment_clear(point, centres[nearest], space.obstacles, space.uav_radius)
+    seen = segment_clear(point, centres[nearest], space.tree, space.uav_radius)
     return set(found[nearest][seen].tolist())
 
 
@@ -203,7 +204,7 @@ def _decompose(space: Space, low: Array, high: Array) -> tuple[list[Array], Mask
     Where there would be too many cells, first the boxes' shapes get cruder, then small boxes are
     left out: both only add free space, so the proof holds.
     """
-    boxes = inside(space.obstacles)  # Of turned boxes only a part counts: that adds free space.
+    boxes = inside(space.tree.boxes)  # Of turned boxes only a part counts: that adds free space.
     near = np.all(
         (boxes[:, 0] - space.uav_radius <= high) & (boxes[:, 1] + space.uav_radius >= low), axis=1
     )

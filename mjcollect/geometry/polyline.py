@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.tree import Tree
 
 
 def marks(path: Array) -> Array:
@@ -34,11 +35,12 @@ def path_length(points: Array) -> float:
     return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Array:
+def tighten(points: Array, boxes: Tree | Array, radius: float, rounds: int = 60) -> Array:
     """Shortens a free polyline (P, 3) to (P', 3) while it keeps `radius` metres from every box.
 
     Pieces that come closer than that already stay as they are.
     """
+    boxes = boxes if isinstance(boxes, Tree) else Tree.of(boxes)
     points = _skip(points, boxes, radius)
     if len(points) == 2:
         return points
@@ -54,7 +56,7 @@ def tighten(points: Array, boxes: Array, radius: float, rounds: int = 60) -> Arr
     return _skip(points, boxes, radius)
 
 
-def _skip(points: Array, boxes: Array, radius: float) -> Array:
+def _skip(points: Array, boxes: Tree, radius: float) -> Array:
     """Drops the points between each kept one and the farthest with a clear straight way to it."""
     kept = [0]
     while kept[-1] < len(points) - 1:
@@ -73,7 +75,7 @@ def _split(points: Array) -> Array:
     return np.concatenate(parts)
 
 
-def _pulled(before: Array, point: Array, after: Array, boxes: Array, radius: float) -> Array:
+def _pulled(before: Array, point: Array, after: Array, boxes: Tree, radius: float) -> Array:
     chord = after - before
     share = np.clip(np.dot(point - before, chord) / max(np.dot(chord, chord), 1e-12), 0.0, 1.0)
     foot = before + share * chord

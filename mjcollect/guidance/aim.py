@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjcollect.geometry.boxes import point_box_distance
+from mjcollect.geometry.among_boxes import gap_to_boxes
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
@@ -50,10 +50,7 @@ def room_at(scene: Scene, points: Array) -> Array:
 
 def room_to_boxes(scene: Scene, points: Array) -> Array:
     """Returns the metres (P,) from the surface of the body at points (P, 3) to the nearest box."""
-    if not len(scene.boxes):
-        return np.full(len(points), np.inf)
-    distance = point_box_distance(points[:, None], scene.boxes).min(axis=1)
-    return np.asarray(distance - scene.reach)
+    return gap_to_boxes(points, scene.tree) - scene.reach
 
 
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:

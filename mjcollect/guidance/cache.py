@@ -51,7 +51,9 @@ def save(built: Guidance, folder: Path) -> Path:
         # The file appears whole or not at all, also if another process writes the same.
         draft = path.with_suffix(f".{os.getpid()}.tmp")
         with draft.open("wb") as file:
-            np.savez(file, path=built.path, **built.way._asdict())
+            numbers = built.way._asdict()
+            del numbers["tree"]  # It is the scene's.
+            np.savez(file, path=built.path, **numbers)
         draft.replace(path)
     return path
 
@@ -64,7 +66,8 @@ def load(
         with np.load(
             folder / file_name(scene, node, start, next_goal), allow_pickle=False
         ) as saved:
-            way = Way(**{name: saved[name] for name in Way._fields})
+            numbers = {name: saved[name] for name in Way._fields if name != "tree"}
+            way = Way(tree=scene.tree, **numbers)
             return Guidance(scene, node, start, next_goal, built=(saved["path"], way))
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
         return None

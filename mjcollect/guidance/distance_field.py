@@ -13,7 +13,7 @@ import skfmm
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from mjcollect.geometry.boxes import point_box_distance, segment_clear
+from mjcollect.geometry.among_boxes import gap_to_boxes, segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.occupancy import blocked_grid
 from mjcollect.scene.scene import Scene
@@ -67,7 +67,7 @@ class DistanceField:
         # The front starts from a small ball, inside which the straight distance is exact.
         ball = 2.0 * float(np.max(self.h))
         near = np.argwhere(straight <= ball)
-        seen = segment_clear(self.points(near), aim, scene.boxes, scene.reach)
+        seen = segment_clear(self.points(near), aim, scene.tree, scene.reach)
         seen &= ~self._leaks(near, straight, ball, blocked)
         blocked[tuple(near.T)] = ~seen
         self._connected = bool(seen.any())
@@ -101,7 +101,7 @@ class DistanceField:
             to = np.clip(near + step, 0, np.array(self._shape) - 1)
             where = np.flatnonzero((straight[tuple(to.T)] > ball) & ~blocked[tuple(to.T)])
             ends = self.points(near[where]), self.points(to[where])
-            found[where] |= ~segment_clear(*ends, scene.boxes, scene.reach)
+            found[where] |= ~segment_clear(*ends, scene.tree, scene.reach)
         return found
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
@@ -150,7 +150,7 @@ class DistanceField:
         near = near[np.all((near >= 0) & (near < self._shape), axis=1)]
         near = near[self._free[tuple(near.T)]]
         scene = self._scene
-        near = near[segment_clear(start, self.points(near), scene.boxes, scene.reach)]
+        near = near[segment_clear(start, self.points(near), scene.tree, scene.reach)]
         if len(near) == 0:
             return None
         total = np.linalg.norm(self.points(near) - start, axis=1) + self._distance[tuple(near.T)]
@@ -172,7 +172,7 @@ class DistanceField:
         slope = np.where(length > 0, fall / np.maximum(length, 1e-9), -np.inf)
         slope = np.nan_to_num(slope, nan=-np.inf)
         here, scene = self.points(np.array(node)), self._scene
-        clear = segment_clear(here, self.points(near), scene.boxes, scene.reach)
+        clear = segment_clear(here, self.points(near), scene.tree, scene.reach)
         slope[~clear] = -np.inf
         best = np.unravel_index(np.argmax(slope), slope.shape)
         return tuple(near[best]) if slope[best] > 0 else None
@@ -201,8 +201,8 @@ def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Ar
     Raises:
         NoWay: the field does not join the two points.
     """
-    radius, boxes = scene.reach, scene.boxes
-    beside = point_box_distance(aim[None], boxes).min() - radius if len(boxes) else WAY_ROOM
+    radius, boxes = scene.reach, scene.tree
+    beside = gap_to_boxes(aim, boxes) - radius
     reach = radius + min(1.01 * WAY_ROOM, max(0.9 * beside, 0.0))
     points, node = [start], field.entry(start)
     while not segment_clear(points[-1], aim, boxes, reach):

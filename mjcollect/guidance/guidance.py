@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array, plain
 from mjcollect.geometry.polyline import path_length, tighten
 from mjcollect.guidance.aim import AIM_ROOM, choose_aim, room_at, room_to_boxes
@@ -137,7 +137,7 @@ class Guidance:
             raise GuidanceError(str(error)) from None
 
     def _tight(self, way: Array) -> Array:
-        return tighten(way, self.scene.boxes, self.scene.reach)
+        return tighten(way, self.scene.tree, self.scene.reach)
 
     def _best_stop(self) -> Array:
         """Returns `Way.stop`: a point towards where the tour goes on, or else the aim."""
@@ -155,7 +155,7 @@ class Guidance:
     def length(self) -> float:
         """Returns the metres of `path`, led on to the goal itself where the aim is beside it."""
         to_goal = np.array([*self.path[:-1], self.goal])
-        if segment_clear(to_goal[-2], self.goal, self.scene.boxes, self.scene.reach):
+        if segment_clear(to_goal[-2], self.goal, self.scene.tree, self.scene.reach):
             return path_length(to_goal)
         return path_length(self.path) + float(np.linalg.norm(self.goal - self.aim))
 

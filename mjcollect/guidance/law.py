@@ -13,8 +13,8 @@ import numpy as np
 
 from mjcollect.flight.projection import project_row
 from mjcollect.flight.shield import OUTSIDE
-from mjcollect.flight.world import World, scene_of
-from mjcollect.geometry.boxes import box_offset, free_way
+from mjcollect.flight.world import World, scene_of, tree_of
+from mjcollect.geometry.among_boxes import free_way, nearest_box
 from mjcollect.geometry.compiled import Array, Indices, compiled
 from mjcollect.geometry.vectors import dot, into_ball, norm, unit
 from mjcollect.guidance.stopping import stop_row
@@ -83,13 +83,9 @@ def stopping(brake: float, distance: float, speed: float, slot: float) -> float:
 @compiled
 def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
     """Bends a heading along the nearest box where it leads into one close by."""
-    boxes = world.boxes[w]
-    offset, nearest, distance = np.empty(3), np.zeros(3), world.radius[w, 0] + BOX_MARGIN_M
-    for b in range(len(boxes)):
-        this = box_offset(q, boxes[b], offset)
-        if this < distance:
-            distance = this
-            unit(offset, nearest)
+    offset, nearest = np.zeros(3), np.empty(3)
+    nearest_box(tree_of(world, w), q, world.radius[w, 0] + BOX_MARGIN_M, offset)
+    unit(offset, nearest)
     into = dot(heading, nearest)
     if into > 0.0:
         for k in range(3):
@@ -147,7 +143,7 @@ def law_row(
     a_max, slot = world.a_max[w, 0], world.slot
     beside_boxes(world, w, q, heading)
     closing = dot(v, heading)
-    free = free_way(world.boxes[w], world.radius[w, 0] + FREE_MARGIN_M, q, heading)
+    free = free_way(tree_of(world, w), world.radius[w, 0] + FREE_MARGIN_M, q, heading)
     speed = min(stopping(a_max, min(remaining, free), closing, slot), world.v_max[w, 0], corner)
     wanted = np.empty(3)
     for k in range(3):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length, tighten
 from mjcollect.guidance.aim import feasible_aim
@@ -28,7 +28,7 @@ def travel_times(scene: Scene) -> Array:
     nodes = [-1, *range(len(scene.items))]
     points = np.array([scene.point(node) for node in nodes])
     length = distances(scene)
-    clear = segment_clear(points[:, None], points[None], scene.boxes, scene.reach)
+    clear = segment_clear(points[:, None], points[None], scene.tree, scene.reach)
     for to in range(1, len(nodes)):
         blocked = np.flatnonzero(~clear[:to, to])
         if len(blocked) == 0:
@@ -39,9 +39,7 @@ def travel_times(scene: Scene) -> Array:
             if field.entry(points[start]) is None:
                 way = Guidance(scene, nodes[to], points[start]).length
             else:
-                tight = tighten(
-                    way_down(field, scene, points[start], aim), scene.boxes, scene.reach
-                )
+                tight = tighten(way_down(field, scene, points[start], aim), scene.tree, scene.reach)
                 way = path_length(tight)
             length[start, to] = length[to, start] = way
     taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])

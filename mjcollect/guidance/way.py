@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.geometry.boxes import in_sight
+from mjcollect.geometry.among_boxes import in_sight
 from mjcollect.geometry.compiled import Array, Indices, compiled
+from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.vectors import lerp, norm, unit
 
 
@@ -17,7 +18,7 @@ class Way(NamedTuple):
     """Holds the numbers that `query_row` reads guidance from; of F fields the finest is the last.
 
     Attributes:
-        points, remaining, next_direction, cut, sight: see `Waypoints`.
+        points, remaining, next_direction, cut, tree, margin, most_margin: see `Waypoints`.
         low, spacing: (F, 3) m, see `DistanceField`. nodes: (F, 3), nodes along each axis.
         stop: (4,), where a stop is best for the tour, and the radius in m of the ball around the
             goal in which a stop is free; 0 if it is not free all around.
@@ -28,7 +29,9 @@ class Way(NamedTuple):
     remaining: Array
     next_direction: Array
     cut: Array
-    sight: Array
+    tree: Tree
+    margin: Array
+    most_margin: Array
     low: Array
     spacing: Array
     nodes: NDArray[np.int64]
@@ -83,7 +86,7 @@ def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
         for k in range(3):
             offset[k] = way.points[p, k] - q[k]
         whole = norm(offset) + way.remaining[p]
-        if whole < best and in_sight(way.sight[p], q, offset):
+        if whole < best and in_sight(way.tree, way.margin[p], way.most_margin[p], q, offset):
             chosen, best = p, whole
             unit(offset, direction)
             if p == last:

@@ -15,9 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.geometry.boxes import inflate, segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
+from mjcollect.geometry.boxes import inflate
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length, tighten
+from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.turns import in_axes
 from mjcollect.guidance.distance_field import WAY_ROOM
 from mjcollect.scene.scene import Scene
@@ -38,14 +40,17 @@ class Waypoints(NamedTuple):
         points: (P, 3) m. remaining: (P,) m, from each point along the others to the aim.
         next_direction: (P, 3), unit vectors to the next point.
         cut: (P,) m, by how much a turn may cut each corner.
-        sight: (P, M, 2, 3) m, inflated boxes; a point is in sight where the line to it misses all.
+        tree: of the M boxes. margin: (P, M) m, by how much the boxes are inflated for each point; a
+            point is in sight where the line to it misses all. most_margin: (P,) the most of each.
     """
 
     points: Array
     remaining: Array
     next_direction: Array
     cut: Array
-    sight: Array
+    tree: Tree
+    margin: Array
+    most_margin: Array
 
     @classmethod
     def of(cls, scene: Scene, path: Array, ways: Sequence[Array]) -> Waypoints:
@@ -55,7 +60,7 @@ class Waypoints(NamedTuple):
             path: (P, 3), the tight path, start and aim included. ways: free polylines (P, 3) with
                 the same ends, not tight.
         """
-        boxes, radius = scene.boxes, scene.reach
+        boxes, radius = scene.tree, scene.reach
         if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
         for clearance in CLEARANCES:
@@ -83,17 +88,19 @@ class Waypoints(NamedTuple):
             for less in (scene.reach, scene.reach / np.sqrt(3)):
                 hidden = _crosses(before, point, inflate(boxes, margin))
                 margin = np.where(hidden, less, margin)
-            kept.append(inflate(boxes, margin))
+            kept.append(margin)
         return cls(
             points=way[1:].copy(),
             remaining=np.append(np.cumsum(length[:0:-1])[::-1], 0.0),
             next_direction=np.concatenate([units[1:], units[-1:]]),
             cut=cut[1:] + LEAST_CUT,
-            sight=np.stack(kept),
+            tree=scene.tree,
+            margin=np.stack(kept),
+            most_margin=np.max(kept, axis=1, initial=0.0),
         )
 
 
-def _keeps(way: Array, boxes: Array, radius: float) -> bool:
+def _keeps(way: Array, boxes: Tree, radius: float) -> bool:
     return all(bool(segment_clear(a, b, boxes, radius)) for a, b in itertools.pairwise(way))
 
 
@@ -121,7 +128,7 @@ def _moved_out(way: Array, scene: Scene, radius: float) -> tuple[Array, Array]:
         while out > LEAST_CUT / 2:
             moved = np.clip(way[i] + turn / size * out, *scene.bounds)
             corner = np.stack([way[i - 1], moved, way[i + 1]])
-            if _keeps(corner, scene.boxes, radius):
+            if _keeps(corner, scene.tree, radius):
                 way[i], shift[i] = moved, out
                 break
             out /= 2

@@ -13,9 +13,8 @@ from mjcollect.flight.contact import MARGIN, contacts
 from mjcollect.flight.disturbed_shield import BLURRED, LAG
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.world import World
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.turns import joined
 from mjcollect.scene.scene import Scene
 
 CAUTION = 1.5  # A margin is so many times the distance by which the body is believed to be astray.
@@ -94,10 +93,11 @@ class Foresight:
             if segment_clear(end, pull, here[None], clear):
                 continue
             at = here.mean(axis=0) + EDGES * (np.diff(here, axis=0)[0] / 2 + clear + BESIDE)
-            boxes = joined(here[None], scene.boxes, axis=0)
             inside = np.all((scene.bounds[0] <= at) & (at <= scene.bounds[1]), axis=1)
-            first = at[inside & segment_clear(end, at, boxes, clear)]
-            last = at[inside & segment_clear(at, pull, boxes, clear)]
+            seen = [segment_clear(end, at, boxes, clear) for boxes in (here[None], scene.tree)]
+            first = at[inside & seen[0] & seen[1]]
+            seen = [segment_clear(at, pull, boxes, clear) for boxes in (here[None], scene.tree)]
+            last = at[inside & seen[0] & seen[1]]
             way = np.linalg.norm(first - end, axis=1)[:, None] + np.linalg.norm(pull - last, axis=1)
             way = way + np.linalg.norm(first[:, None] - last, axis=2)
             way[~segment_clear(first[:, None], last[None], here[None], clear)] = np.inf
@@ -114,7 +114,7 @@ class Foresight:
         moved = self.shifts(start + np.arange(path.shape[1]) * world.step)
         sensed = np.zeros(path[:, 1:].shape[:2], dtype=bool)
         return any(
-            contacts(world._replace(boxes=box[None, None]), path - shift, sensed).any()
+            contacts(world.with_boxes(box[None, None]), path - shift, sensed).any()
             for box, shift in zip(self.boxes, moved, strict=True)
         )
 

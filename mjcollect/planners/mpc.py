@@ -23,7 +23,7 @@ from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Episodes
 from mjcollect.flight.straight_line import time_to_go
 from mjcollect.flight.world import World
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import marks, path_length, point_along
 from mjcollect.planners.foresight import Foresight
@@ -264,10 +264,10 @@ class Mpc:
         scene = self._scene
         there = _along(way, end) + LEAD
         point = point_along(way, there)
-        if segment_clear(end, point, scene.boxes, scene.reach):
+        if segment_clear(end, point, scene.tree, scene.reach):
             return point
         points = point_along(way, np.arange(there, 0.0, -GRAIN))
-        in_sight = segment_clear(end, points, scene.boxes, scene.reach)
+        in_sight = segment_clear(end, points, scene.tree, scene.reach)
         return np.asarray(points[int(in_sight.argmax())])
 
     def _view(self, q: Array, v: Array, target: int) -> _SegmentView:
@@ -306,7 +306,7 @@ class Mpc:
     def _way(self, q: Array, path: Array) -> Array:
         """Returns the way from q (3,) straight to the farthest visible point of `path`, then on."""
         scene = self._scene
-        if segment_clear(q, path[-1], scene.boxes, scene.reach):
+        if segment_clear(q, path[-1], scene.tree, scene.reach):
             return np.stack([q, path[-1]])
         corners = marks(path)
         here = _along(path, q)
@@ -315,7 +315,7 @@ class Mpc:
         if len(tried) == 0:  # It is beside the very end, out of its sight.
             return np.stack([q, path[-1]])
         points = point_along(path, tried)
-        in_sight = np.flatnonzero(segment_clear(q, points, scene.boxes, scene.reach))
+        in_sight = np.flatnonzero(segment_clear(q, points, scene.tree, scene.reach))
         entry = int(in_sight[-1]) if len(in_sight) else 0
         return np.concatenate([[q, points[entry]], path[corners > tried[entry]]])
 

@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View
@@ -73,7 +73,7 @@ class Overview:
         scene, self._progress, self._view = progress.scene, progress, view
         self._pixels = view.project(trail)[0]
         self._colours = (colours * 255).astype(int)
-        hidden = ~segment_clear(trail[:, None], view.eye[None, None], scene.boxes, 1e-6)[:, 0]
+        hidden = ~segment_clear(trail[:, None], view.eye[None, None], scene.tree, 1e-6)[:, 0]
         self._alpha = np.where(hidden, 110, 255)
         self._nodes = range(DEPOT, len(scene.items))
         self._node_pixels = view.project(np.array([scene.point(node) for node in self._nodes]))[0]
@@ -272,7 +272,7 @@ def node_labels(
     nodes = range(DEPOT, len(scene.items))
     points = np.array([scene.point(node) for node in nodes])
     pixels, depth = view.project(points)
-    seen = segment_clear(np.broadcast_to(view.eye, points.shape), points, scene.boxes, 1e-6)
+    seen = segment_clear(np.broadcast_to(view.eye, points.shape), points, scene.tree, 1e-6)
     states = [progress.state(node, reached) for node in nodes]
     if "target" in states:
         k = states.index("target")

@@ -98,6 +98,16 @@ def compile_model(scene: Scene, *, solid: bool = True) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
 
+def let_boxes_sleep(model: mujoco.MjModel) -> None:
+    """Has MuJoCo compute where boxes stand once, not in every step; the body never sleeps.
+
+    Steps stay the same to the bit. Every MjData then belongs to this model alone: in one that
+    another model has used before, the boxes would stand where that model's stood.
+    """
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
+    model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
+
+
 def _add_quadrotor(root: mjcf.RootElement, scene: Scene, visual_scale: float) -> None:
     quadrotor = mjcf.from_path(str(asset_path("quadrotor.xml")))
     quadrotor.find("geom", "body").size = (scene.uav_radius,)

@@ -11,7 +11,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from mjcollect.geometry.boxes import segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
@@ -186,7 +186,7 @@ def segments_table(scene: Scene, order: Sequence[int]) -> list[Segment]:
     """
     pairs, between = tour_segments(order), distances(scene)
     ends = np.array([[scene.point(start), scene.point(end)] for start, end in pairs])
-    clear = segment_clear(ends[:, 0], ends[:, 1], scene.boxes, scene.reach)
+    clear = segment_clear(ends[:, 0], ends[:, 1], scene.tree, scene.reach)
     return [
         {
             "index": index,

@@ -21,6 +21,7 @@ import numpy as np
 from mjcollect.geometry.boxes import point_box_distance
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.enclosure import Space, walled_in
+from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.turns import around, turned
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.file_format import SceneError, parse, read_text
@@ -130,6 +131,11 @@ class Scene:
         See `geometry.turns`; it is what distances are computed from.
         """
         return turned(self.obstacles, self.yaw)
+
+    @cached_property
+    def tree(self) -> Tree:
+        """Returns `boxes` in a tree, for questions about those that are near."""
+        return Tree.of(self.boxes)
 
     def point(self, node: int) -> Array:
         """Returns the position (3,) of item `node`, or of the depot for -1."""
@@ -325,7 +331,7 @@ class Scene:
                     f"is {distance[hit]:.3g} m from obstacles[{hit}]: a body of radius "
                     f"{self._reach_text()} m cannot come within epsilon = {self.epsilon} m of it",
                 )
-        space = Space(self.bounds, self.boxes, self.reach, self.depot, self.items, self.epsilon)
+        space = Space(self.bounds, self.tree, self.reach, self.depot, self.items, self.epsilon)
         more = f" and its clearance of {self.clearance} m" if self.clearance else ""
         for node in walled_in(space):
             field = "depot" if node < 0 else f"items[{node}]"

@@ -10,7 +10,8 @@ import numpy as np
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.dm_env import make_environment
-from mjcollect.geometry.boxes import segment_box_distance, segment_clear
+from mjcollect.geometry.among_boxes import segment_clear
+from mjcollect.geometry.boxes import segment_box_distance
 
 ROOMS = tuple(f"mjcollect.{room}" for room in ("geometry", "flight", "guidance", "envs"))
 

@@ -24,6 +24,7 @@ from mjcollect.flight.disturbed_shield import (
 from mjcollect.flight.moving_boxes import STEPS
 from mjcollect.flight.projection import project
 from mjcollect.flight.world import World
+from mjcollect.geometry.tree import in_one_leaf
 from mjcollect.scene.scene import Scene
 
 A_MAX, SLOT = 20.0, 0.2
@@ -33,8 +34,8 @@ FULL = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5)
 
 def world_of(boxes=NOWHERE):
     return World(
-        np.array([[[-500.0] * 3, [500.0] * 3]]), np.asarray(boxes, float), np.array([[50.0]]),
-        np.array([[A_MAX]]), np.array([[0.5]]), SLOT, 0.02, 10,
+        np.array([[[-500.0] * 3, [500.0] * 3]]), *in_one_leaf(np.asarray(boxes, float)),
+        np.array([[50.0]]), np.array([[A_MAX]]), np.array([[0.5]]), SLOT, 0.02, 10,
     )  # fmt: skip
 
 

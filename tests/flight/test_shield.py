@@ -18,6 +18,7 @@ from mjcollect.flight.shield import shield
 from mjcollect.flight.straight_line import slot_path
 from mjcollect.flight.world import World
 from mjcollect.generate import generate
+from mjcollect.geometry.tree import Tree
 from mjcollect.scene.scene import Scene
 
 SLOT, A_MAX, V_MAX, COUNT = 0.2, 20.0, 50.0, 128
@@ -25,9 +26,12 @@ BOUNDS = np.array([[0.0, 0, 0], [60, 60, 60]])
 
 
 def world_of(bounds, boxes, slot=SLOT):
+    tree = Tree.of(np.asarray(boxes, float))
     return World(
         bounds=np.asarray(bounds, float)[None],
-        boxes=np.asarray(boxes, float)[None],
+        boxes=tree.boxes[None],
+        nodes=tree.nodes[None],
+        members=tree.members[None],
         v_max=np.array([[V_MAX]]),
         a_max=np.array([[A_MAX]]),
         radius=np.array([[RADIUS]]),

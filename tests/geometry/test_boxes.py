@@ -3,13 +3,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.boxes import (
     EMPTY_BOX,
     inflate,
     nearest_point_offset,
     point_box_distance,
     segment_box_distance,
-    segment_clear,
 )
 
 UNIT = np.array([[0.0] * 3, [1.0] * 3])

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.boxes import (
     box_offset,
     inflate,
     nearest_point_offset,
     point_box_distance,
     segment_box_distance,
-    segment_clear,
     slab,
 )
 from mjcollect.geometry.occupancy import blocked_grid

@@ -24,7 +24,10 @@ def test_a_loaded_guidance_is_the_built_one_bit_for_bit(built, tmp_path):
     assert [file.name for file in path.parent.iterdir()] == [path.name]
     loaded = cache.load(path.parent, *leg(built))
     assert len(loaded.way.first) > 1  # blocked: several fields
-    for name, values in built.way._asdict().items():
+    numbers = built.way._asdict()
+    assert numbers.pop("tree") is built.scene.tree
+    assert loaded.way.tree is built.scene.tree
+    for name, values in numbers.items():
         other = getattr(loaded.way, name)
         np.testing.assert_array_equal(other, values)
         assert (other.dtype, other.flags.c_contiguous) == (values.dtype, True)

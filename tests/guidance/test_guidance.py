@@ -8,6 +8,7 @@ from crowds import FLAT, RADIUS, crowded, gaps, least_gap
 from scipy.interpolate import RegularGridInterpolator
 
 from mjcollect.generate import generate
+from mjcollect.geometry.boxes import inflate
 from mjcollect.geometry.polyline import path_length
 from mjcollect.guidance.aim import AIM_ROOM, AIM_SHARE, choose_aim
 from mjcollect.guidance.guidance import Guidance, GuidanceError
@@ -152,8 +153,9 @@ def test_distances_are_over_waypoints_in_sight_and_else_the_field_s(seed):
     flown = crowded(seed, 12)
     guide = Guidance(flown, 0, flown.depot)
     way, counts = guide.way, {"aim": 0, "corner": 0, "field": 0}
+    hiding = [inflate(flown.boxes, margin) for margin in way.margin]
     for q in free_points(flown, 150, seed):
-        seen = [not crosses(q, *pair) for pair in zip(way.points, way.sight, strict=True)]
+        seen = [not crosses(q, *pair) for pair in zip(way.points, hiding, strict=True)]
         whole = np.where(seen, np.linalg.norm(way.points - q, axis=1) + way.remaining, np.inf)
         distance, direction = guide.query(q[None])
         straight = np.linalg.norm(guide.aim - q)

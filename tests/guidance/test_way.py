@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from mjcollect.envs.episode import Episodes, Rules
+from mjcollect.geometry.tree import Tree
 from mjcollect.guidance.approach import LOOK_AHEAD
 from mjcollect.guidance.way import Way, interpolate_field, query_rows
 
@@ -19,7 +20,9 @@ def random_way(rng, least, counts=((5, 7, 4), (9, 3, 6))) -> Way:
         remaining=np.zeros(1),
         next_direction=np.ones((1, 3)),
         cut=np.ones(1),
-        sight=np.array([[[[900.0] * 3, [950.0] * 3]]]),  # in sight of none
+        tree=Tree.of(np.array([[[900.0] * 3, [950.0] * 3]])),  # in sight of none
+        margin=np.zeros((1, 1)),
+        most_margin=np.zeros(1),
         stop=np.zeros(4),
         low=np.array([[0.0, 0, 0], [10.0, 20, 5]]),
         spacing=np.array([[10.0, 8, 12], [2.0, 5, 3]]),
