@@ -41,16 +41,20 @@ def place(scene: Scene, node: int) -> Array:
     return feasible_aim(scene, point, scene.tolerance(node))
 
 
-def room_at(scene: Scene, points: Array) -> Array:
-    """Returns the metres (P,) from the body at points (P, 3) to the nearest box or bound."""
+def room_at(scene: Scene, points: Array, most: float = np.inf) -> Array:
+    """Returns the metres (P,) from the body at points (P, 3) to the nearest box or bound.
+
+    If it is more than `most`, any number beyond that may stand for it.
+    """
     low, high = scene.bounds
     walls = np.minimum(points - low, high - points).min(axis=1)
-    return np.minimum(walls, room_to_boxes(scene, points))
+    return np.minimum(walls, room_to_boxes(scene, points, most))
 
 
-def room_to_boxes(scene: Scene, points: Array) -> Array:
-    """Returns the metres (P,) from the surface of the body at points (P, 3) to the nearest box."""
-    return gap_to_boxes(points, scene.tree) - scene.reach
+def room_to_boxes(scene: Scene, points: Array, most: float = np.inf) -> Array:
+    """Returns the metres (P,) from the body at points (P, 3) to the nearest box; see `room_at`."""
+    beyond = 1.0  # metres, so that rounding does not matter
+    return gap_to_boxes(points, scene.tree, scene.reach + most + beyond) - scene.reach
 
 
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
@@ -66,6 +70,6 @@ def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
     near_first = np.argsort(far, kind="stable")
     near_first = near_first[far[near_first] <= AIM_SHARE * tolerance * (1 + 1e-9)]
     points = goal + ball[near_first]
-    clearance = np.minimum(room_at(scene, points), AIM_ROOM)
+    clearance = np.minimum(room_at(scene, points, AIM_ROOM), AIM_ROOM)
     best = float(clearance.max())
     return np.asarray(points[int(np.argmax(clearance >= best - 1e-9))])

@@ -202,7 +202,7 @@ def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Ar
         NoWay: the field does not join the two points.
     """
     radius, boxes = scene.reach, scene.tree
-    beside = gap_to_boxes(aim, boxes) - radius
+    beside = float(gap_to_boxes(aim, boxes)) - radius
     reach = radius + min(1.01 * WAY_ROOM, max(0.9 * beside, 0.0))
     points, node = [start], field.entry(start)
     while not segment_clear(points[-1], aim, boxes, reach):
