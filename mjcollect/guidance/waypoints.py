@@ -30,6 +30,7 @@ STRAIGHT_SIGHT = 1.5  # metres of clearance of the line of sight to the aim on a
 SHIFT_SHARE = 0.4  # A corner that is moved out keeps this share of the clearance.
 CUT_SHARE = 0.5  # A turn may cut this share of the clearance.
 MOST_SHIFT = 15.0  # metres by which a corner is moved out at most
+ENDS = 12.0  # metres at either end of a path in which it may keep less clearance
 LEAST_CUT = 0.1  # metres by which a turn may cut every corner at least
 
 
@@ -65,7 +66,7 @@ class Waypoints(NamedTuple):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
         for clearance in CLEARANCES:
             tight = [tighten(way, boxes, radius + clearance) for way in ways]
-            tight = [way for way in tight if _keeps(way, boxes, radius + 0.99 * clearance)]
+            tight = [way for way in tight if _keeps_midway(way, boxes, radius + 0.99 * clearance)]
             if tight:
                 way = min(tight, key=path_length)
                 way, shift = _moved_out(way, scene, radius + SHIFT_SHARE * clearance)
@@ -102,6 +103,19 @@ class Waypoints(NamedTuple):
 
 def _keeps(way: Array, boxes: Tree, radius: float) -> bool:
     return all(bool(segment_clear(a, b, boxes, radius)) for a, b in itertools.pairwise(way))
+
+
+def _keeps_midway(way: Array, boxes: Tree, radius: float) -> bool:
+    """Returns whether a way keeps `radius` but for its first and last few metres.
+
+    There it may have to come nearer, to a goal beside a wall.
+    """
+    kept = np.array([_keeps(piece, boxes, radius) for piece in itertools.pairwise(way)])
+    if not kept.any():
+        return False
+    first, last = np.flatnonzero(kept)[[0, -1]]
+    ends = path_length(way[: first + 1]), path_length(way[last + 1 :])
+    return bool(kept[first : last + 1].all()) and max(ends) <= ENDS
 
 
 def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:

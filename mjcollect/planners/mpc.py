@@ -33,6 +33,7 @@ from mjcollect.planners.slot_program import COMFORT, Program
 HORIZON = 25  # A plan has at most this many slots.
 LEAD = 40.0  # The carrot, which pulls a plan's end along the path, is at most this far ahead (m).
 BEYOND = (25.0, 50.0)  # Where a moving box holds it, it is farther ahead by these (m).
+PEEK = 0.5  # The carrot is in sight along a line with this share of the body's room.
 GRAIN = 2.0  # Points of the path are this far apart (m) when they are tested for being in sight.
 JOIN = 60.0  # The path may be joined between its corners within this distance along it (m).
 FIRST_SHARE = 0.6  # The first guess accelerates along the path at this share of a_max.
@@ -259,15 +260,18 @@ class Mpc:
     def _carrot_in_sight(self, way: Array, end: Array) -> Array:
         """Returns the farthest point of `way` (P, 3), up to LEAD ahead, in sight of a plan's end.
 
-        A point out of sight would pull the plan against the box between them and hold it there.
+        A point out of sight would pull the plan against the box between them and hold it there. At
+        a corner the sight round it must not need all the room that a body needs: where the way is
+        tight, the plan's end would have to be exactly at the corner to see on.
         """
         scene = self._scene
         there = _along(way, end) + LEAD
         point = point_along(way, there)
-        if segment_clear(end, point, scene.tree, scene.reach):
+        room = PEEK * scene.reach
+        if segment_clear(end, point, scene.tree, room):
             return point
         points = point_along(way, np.arange(there, 0.0, -GRAIN))
-        in_sight = segment_clear(end, points, scene.tree, scene.reach)
+        in_sight = segment_clear(end, points, scene.tree, room)
         return np.asarray(points[int(in_sight.argmax())])
 
     def _view(self, q: Array, v: Array, target: int) -> _SegmentView:
