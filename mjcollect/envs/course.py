@@ -25,8 +25,9 @@ MIN_SLOTS = 100  # The step limit P (slots) is at least this.
 LIMIT_FACTOR = 3.0  # P is also at least this many times the time that the guidance paths take.
 # These shares of `spread` starts lie in an ellipsoid and under way; the rest lie in the ball.
 STREWN, UNDER_WAY = 0.3, 0.4
-SPREAD_SPEED = 15.0  # `spread` starts in the ellipsoid are at most this fast (m/s).
-SPREAD_MARGIN_M = 40.0  # The ellipsoid's long axis exceeds the path's length by this margin (m).
+SPREAD_SPEED = 0.3  # `spread` starts in the ellipsoid are at most this share of v_max fast.
+# The ellipsoid's long axis exceeds the path's length by this margin, in units of the scene.
+SPREAD_MARGIN = 40.0
 LAST_PART = 1.3  # Half of the starts under way lie within this many stops from v_max of the goal.
 SPEEDS = (0.6, 1.02)  # Starts under way have this share of the speed that can just be stopped.
 
@@ -123,7 +124,7 @@ class Course:
             kind: `point` starts at rest exactly at the start node, or as near as a body can be.
                 `ball` starts at rest anywhere within the node's tolerance, where the segment before
                 can have stopped. `spread`, for training, starts in the ball, in an ellipsoid round
-                the way at up to 15 m/s, or under way, about as fast as can still be stopped in
+                the way at up to 0.3 v_max, or under way, about as fast as can still be stopped in
                 time. Many of the last lie near the goal, where flights brake and lose time.
         """
         scene, home = self.scene, place(self.scene, self.nodes[0])
@@ -188,12 +189,12 @@ class Course:
         start, end = place(self.scene, self.nodes[0]), self.guidance[0].aim
         reach, axis = self.scene.tolerance(self.nodes[0]), end - start
         focal = float(np.linalg.norm(axis))
-        total = max(self.guidance[0].length, focal) + SPREAD_MARGIN_M
+        total = max(self.guidance[0].length, focal) + SPREAD_MARGIN * self.scene.unit
         minor = float(np.sqrt(total**2 - focal**2)) / 2
         along = axis / focal if focal > 1e-9 else np.array([1.0, 0.0, 0.0])
         return (
             np.stack([self.scene.point(self.nodes[0]), (start + end) / 2]),
             along,
             np.array([[reach, reach], [total / 2, minor]]),
-            np.array([0.0, min(SPREAD_SPEED, self.scene.v_max)]),
+            np.array([0.0, SPREAD_SPEED * self.scene.v_max]),
         )

@@ -23,7 +23,9 @@ from mjcollect.geometry.vectors import dot, norm
 from mjcollect.guidance.approach import LOOK_AHEAD, Approach
 
 NEAREST_BOXES = 4  # `guided` shows this many boxes.
-REACH = 30.0  # Boxes and walls begin to show in `guided` at about this distance (m).
+# Distances are in units of the scene, see `Scene.unit`.
+REACH = 30.0  # Boxes and walls begin to show in `guided` at about this distance.
+FARTHEST = 8.0  # No distance shows as more than so many times five stopping distances.
 # Widths of the parts of `guided`, in units of v_max, a_max and the stopping distance from v_max.
 WIDTHS = {
     "velocity": 3,
@@ -134,7 +136,14 @@ def squash(vector: Array) -> None:
 
 @compiled
 def braking_part(
-    near: float, far: float, closing: float, a_max: float, v_max: float, slot: float, out: Array
+    near: float,
+    far: float,
+    closing: float,
+    a_max: float,
+    v_max: float,
+    slot: float,
+    unit: float,
+    out: Array,
 ) -> None:
     """Writes how a stop at the target stands, `out` (8,).
 
@@ -144,15 +153,15 @@ def braking_part(
 
     Args:
         near, far: distances to these ends (m). closing: speed towards the target (m/s).
-        a_max: m/s^2. v_max: m/s. slot: s.
+        a_max: m/s^2. v_max: m/s. slot: s. unit: m.
     """
     speed, change = max(closing, 0.0), a_max * slot
     braking = speed**2 / (2 * a_max)
     fastest = min(math.sqrt(2 * a_max * near), v_max)
     stride, turn = max(speed, change) * slot, 2 * math.pi * speed / change
     out[0] = math.tanh((closing - fastest) / (2.5 * change))
-    out[1] = min(braking / max(near, 0.1), 2.0)
-    out[2] = min(braking / max(far, 0.1), 2.0)
+    out[1] = min(braking / max(near, 0.1 * unit), 2.0)
+    out[2] = min(braking / max(far, 0.1 * unit), 2.0)
     out[3] = math.tanh((near - braking) / (4 * stride))
     out[4] = math.tanh((near - braking) / stride)
     out[5] = math.tanh((far - braking) / stride)
@@ -170,7 +179,7 @@ def guided_rows(
     for i in range(len(q)):
         w, row, axes, goal = scene_of(world, i), out[i], frame[i], approach.offset[i]
         a_max, v_max, bounds = world.a_max[w, 0], world.v_max[w, 0], world.bounds[w]
-        stopping, near = v_max**2 / (2 * a_max), approach.near[i]
+        stopping, near, unit = v_max**2 / (2 * a_max), approach.near[i], world.unit[w, 0]
         seen_from(axes, v[i], v_max, row[AT.velocity :])
         seen_from(axes, v[i], 2 * (a_max * world.slot), row[AT.slowness :])
         squash(row[AT.slowness : AT.slowness + 3])
@@ -178,27 +187,29 @@ def guided_rows(
         for a in range(1, approach.ahead.shape[1]):
             to = AT.guide_ahead + 3 * (a - 1)
             seen_from(axes, approach.ahead[i, a], 1.6 * stopping, row[to:])
-        row[AT.guide_distance] = near / (5 * stopping)
+        row[AT.guide_distance] = min(near / (5 * stopping), FARTHEST)
         row[AT.guide_distance + 1] = math.tanh(near / stopping)
         row[AT.guide_distance + 2] = math.tanh(5 * near / stopping)
-        seen_from(axes, goal, 5 * stopping, row[AT.goal_offset :])
+        far = max(norm(goal) / FARTHEST, 5 * stopping)
+        seen_from(axes, goal, far, row[AT.goal_offset :])
         seen_from(axes, goal, stopping, row[AT.goal_offset + 3 :])
         seen_from(axes, goal, stopping / 5, row[AT.goal_offset + 6 :])
         squash(row[AT.goal_offset + 3 : AT.goal_offset + 9])
         braking_part(
-            near, approach.far[i], approach.closing[i], a_max, v_max, world.slot, row[AT.braking :]
-        )
-        nearest_boxes(tree_of(world, w), q[i], REACH, FAR, gaps, offset, boxes)
+            near, approach.far[i], approach.closing[i], a_max, v_max, world.slot, unit,
+            row[AT.braking :],
+        )  # fmt: skip
+        nearest_boxes(tree_of(world, w), q[i], REACH * unit, FAR, gaps, offset, boxes)
         for b in range(NEAREST_BOXES):
             seen_from(axes, boxes[3 * b : 3 * b + 3], 1.0, row[AT.boxes + 3 * b :])
         for k in range(3):
-            row[AT.walls + k] = math.tanh((q[i, k] - bounds[0, k]) / REACH)
-            row[AT.walls + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / REACH)
+            row[AT.walls + k] = math.tanh((q[i, k] - bounds[0, k]) / (REACH * unit))
+            row[AT.walls + 3 + k] = math.tanh((bounds[1, k] - q[i, k]) / (REACH * unit))
         size = norm(v[i])
         for k in range(3):
             rest[k] = v[i, k] * (size / (2 * a_max)) - goal[k]
-        seen_from(axes, rest, 20.0, row[AT.rest :])
-        seen_from(axes, rest, 4.0, row[AT.rest + 3 :])
+        seen_from(axes, rest, 20.0 * unit, row[AT.rest :])
+        seen_from(axes, rest, 4.0 * unit, row[AT.rest + 3 :])
         squash(row[AT.rest : AT.rest + 6])
         seen_from(axes, approach.next_direction[i], 1.0, row[AT.next_direction :])
 
@@ -272,7 +283,7 @@ def nearest_bounds(world: World, q: Array, frame: Array) -> Array:
     gaps = np.concatenate([q - world.bounds[:, 0], world.bounds[:, 1] - q], axis=1)
     first = np.argsort(gaps, axis=1, kind="stable")[:, :2]
     gap = np.maximum(np.take_along_axis(gaps, first, axis=1), 0.0)
-    side = np.where(first < 3, -1.0, 1.0) / (1.0 + gap / REACH)
+    side = np.where(first < 3, -1.0, 1.0) / (1.0 + gap / (REACH * world.unit))
     axes = np.take_along_axis(frame, (first % 3)[:, None, :], axis=2)  # (N, 3, 2)
     return np.asarray((side[:, None] * axes).transpose(0, 2, 1).reshape(len(q), 6))
 

@@ -20,7 +20,7 @@ class World(NamedTuple):
     Attributes:
         bounds: (N, 2, 3) m. boxes: (N, M, 2 or 3, 3) m, padded with `EMPTY_BOX`.
         nodes, members: (N, ..., 2, 3) m, (N, M), the boxes' trees, see `geometry.tree.Tree`.
-        v_max, a_max, radius: (N, 1) in m/s, m/s^2, m.
+        v_max, a_max, radius, unit: (N, 1) in m/s, m/s^2, m, m; unit is that of `Scene.unit`.
         slot, step: seconds of a slot and of a physics step, the same for all simulations.
         substeps: physics steps in a slot, n.
     """
@@ -32,6 +32,7 @@ class World(NamedTuple):
     v_max: Array
     a_max: Array
     radius: Array
+    unit: Array
     slot: float
     step: float
     substeps: int
@@ -74,6 +75,7 @@ class World(NamedTuple):
             v_max=column("v_max"),
             a_max=column("a_max"),
             radius=column("reach"),
+            unit=column("unit"),
             slot=first.slot,
             step=first.physics_step,
             substeps=first.substeps,
@@ -95,6 +97,7 @@ class World(NamedTuple):
             v_max=self.v_max[which],
             a_max=self.a_max[which],
             radius=self.radius[which],
+            unit=self.unit[which],
         )
 
 

@@ -8,7 +8,8 @@ from mjcollect.geometry.among_boxes import gap_to_boxes
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.scene import Scene
 
-AIM_ROOM = 2.0  # metres of clearance wanted between the body at an aim and boxes or bounds
+# Clearance wanted between the body at an aim and boxes or bounds, in units of the scene.
+AIM_ROOM = 2.0
 AIM_SHARE = 0.7  # An aim lies at most this share of the tolerance from its goal.
 TURN_SHARE = 0.6  # An aim moves by up to this share of the tolerance to the inside of a turn.
 
@@ -28,7 +29,7 @@ def choose_aim(
             turn = after / far[1] - before / far[0]
             size = float(np.linalg.norm(turn))
             aim = goal + turn / max(size, 1e-9) * TURN_SHARE * tolerance * min(size, 1.0)
-            if room_at(scene, aim[None])[0] >= AIM_ROOM:
+            if room_at(scene, aim[None])[0] >= AIM_ROOM * scene.unit:
                 return np.asarray(aim)
     return feasible_aim(scene, goal, tolerance)
 
@@ -60,7 +61,7 @@ def room_to_boxes(scene: Scene, points: Array, most: float = np.inf) -> Array:
 def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
     """Returns the goal, or the point (3,) of its ball to fly to where the goal lacks clearance.
 
-    It is nearest to the goal among those with most clearance, up to AIM_ROOM metres, from boxes
+    It is nearest to the goal among those with most clearance, up to AIM_ROOM, from boxes
     (beyond the body's radius) and bounds: else an approach would have to be exact to a millimetre
     where a wall is behind the goal, as at a depot in the corner of the cube.
     """
@@ -70,6 +71,7 @@ def feasible_aim(scene: Scene, goal: Array, tolerance: float) -> Array:
     near_first = np.argsort(far, kind="stable")
     near_first = near_first[far[near_first] <= AIM_SHARE * tolerance * (1 + 1e-9)]
     points = goal + ball[near_first]
-    clearance = np.minimum(room_at(scene, points, AIM_ROOM), AIM_ROOM)
+    wanted = AIM_ROOM * scene.unit
+    clearance = np.minimum(room_at(scene, points, wanted), wanted)
     best = float(clearance.max())
     return np.asarray(points[int(np.argmax(clearance >= best - 1e-9))])

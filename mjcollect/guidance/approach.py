@@ -14,7 +14,8 @@ from mjcollect.geometry.vectors import dot, norm, unit
 from mjcollect.guidance.stopping import chord
 from mjcollect.guidance.way import Way, query_row
 
-LOOK_AHEAD = np.array([30.0, 40.0, 60.0])  # metres from one point of `Approach.ahead` to the next
+# From one point of `Approach.ahead` to the next, in units of the scene.
+LOOK_AHEAD = np.array([30.0, 40.0, 60.0])
 
 
 class Approach(NamedTuple):
@@ -164,7 +165,7 @@ def approach_rows(
     """Writes the rows `which` of an approach to a goal (3,) with a ball of `radius` m.
 
     Left out are the speed, and all about the depot and the tour's next target. The points `ahead`,
-    `strides` metres from one to the next, show bends before they are reached.
+    `strides` units of the scene from one to the next, show bends before they are reached.
     """
     point, towards = np.empty(3), np.empty(3)
     for i in which:
@@ -188,6 +189,6 @@ def approach_rows(
             if a > 0:
                 left, _ = query_row(way, point, towards)
             for k in range(3):
-                point[k] += towards[k] * min(strides[a], left)
+                point[k] += towards[k] * min(strides[a] * world.unit[w, 0], left)
                 approach.ahead[i, a, k] = point[k] - q[i, k]
         frame_row(heading, approach.frame[i])

@@ -19,7 +19,7 @@ from mjcollect.geometry.occupancy import blocked_grid
 from mjcollect.scene.scene import Scene
 
 CROWDING = 0.5  # A metre right at a box or bound counts as 1.5, so that paths keep clear of both.
-CROWDED = 25.0  # metres; farther than this from boxes and bounds a metre counts as one
+CROWDED = 25.0  # units of the scene; farther than this from boxes and bounds a metre counts as one
 RISE = 2.0  # In blocked cells the field rises by so many metres a metre from the nearest free one.
 
 
@@ -105,14 +105,14 @@ class DistanceField:
         return found
 
     def _crowding(self, blocked: np.ndarray) -> np.ndarray:
-        """Returns how near each node is to boxes or bounds: 1 at them, 0 from CROWDED metres."""
+        """Returns how near each node is to boxes or bounds: 1 at them, 0 from CROWDED on."""
         away = ndimage.distance_transform_edt(~blocked, sampling=self.h)
         low, high = self._scene.bounds
         for axis in range(3):
             at = self.low[axis] + self.h[axis] * np.arange(self._shape[axis])
             wall = np.minimum(at - low[axis], high[axis] - at)
             away = np.minimum(away, np.expand_dims(wall, [k for k in range(3) if k != axis]))
-        return np.asarray(np.clip(1.0 - away / CROWDED, 0.0, 1.0))
+        return np.asarray(np.clip(1.0 - away / (CROWDED * self._scene.unit), 0.0, 1.0))
 
     def _straight(self, point: Array) -> Array:
         square = [
@@ -186,7 +186,7 @@ def _half_widths(focus: Array, total: float, aim: Array) -> Array:
     return np.asarray(np.sqrt(minor + axis**2 / 4))
 
 
-WAY_ROOM = 2.5  # metres of clearance that paths keep from boxes where they can
+WAY_ROOM = 2.5  # units of the scene; clearance that paths keep from boxes where they can
 
 
 class NoWay(ValueError):
@@ -203,7 +203,7 @@ def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Ar
     """
     radius, boxes = scene.reach, scene.tree
     beside = float(gap_to_boxes(aim, boxes)) - radius
-    reach = radius + min(1.01 * WAY_ROOM, max(0.9 * beside, 0.0))
+    reach = radius + min(1.01 * WAY_ROOM * scene.unit, max(0.9 * beside, 0.0))
     points, node = [start], field.entry(start)
     while not segment_clear(points[-1], aim, boxes, reach):
         if node is None:

@@ -85,6 +85,7 @@ class Guidance:
         self.way = Way(
             **Waypoints.of(scene, self.path, ways)._asdict(),
             stop=self._best_stop(),
+            unit=np.array([scene.unit]),
             low=np.stack([field.low for field in fields]),
             spacing=np.stack([field.h for field in fields]),
             nodes=np.array([field.filled.shape for field in fields], dtype=np.int64),
@@ -142,7 +143,7 @@ class Guidance:
     def _best_stop(self) -> Array:
         """Returns `Way.stop`: a point towards where the tour goes on, or else the aim."""
         radius = STOP_SHARE * self.tolerance
-        around = self.tolerance + AIM_ROOM
+        around = self.tolerance + AIM_ROOM * self.scene.unit
         if self.next_goal is None and room_to_boxes(self.scene, self.goal[None])[0] >= around:
             return np.append(self.aim, radius)  # bounds do not matter to what comes from within
         if self.next_goal is None or room_at(self.scene, self.goal[None])[0] < around:

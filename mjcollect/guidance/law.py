@@ -20,12 +20,13 @@ from mjcollect.geometry.vectors import dot, into_ball, norm, unit
 from mjcollect.guidance.stopping import stop_row
 from mjcollect.guidance.way import Way, query_row
 
-ONE_TURN = 30.0  # metres within which corners count as one turn
+# Distances are in units of the scene, see `Scene.unit`.
+ONE_TURN = 30.0  # Corners within this distance count as one turn.
 CORNER_BRAKE = 0.9  # The law counts on this share of a_max to brake before corners.
 WALL_SHARE = 0.9  # A stop may take this share of the distance to a bound.
 RETURN_SECONDS = 1.0  # A body that was blown over a bound comes back in this time.
-FREE_MARGIN_M = 0.1  # metres of clearance that the law keeps from boxes where it can
-BOX_MARGIN_M = 0.5  # metres of clearance below which the law approaches a box no further
+FREE_MARGIN = 0.1  # Clearance that the law keeps from boxes where it can.
+BOX_MARGIN = 0.5  # Clearance below which the law approaches a box no further.
 
 
 @compiled
@@ -39,14 +40,14 @@ def heading_row(
     """
     if chosen < 0:
         return np.inf
-    speed, limit, before = norm(v), np.inf, np.empty(3)
+    speed, limit, before, near = norm(v), np.inf, np.empty(3), ONE_TURN * way.unit[0]
     offset, bend = np.empty(3), np.empty(3)
     for k in range(3):
         offset[k], before[k] = way.points[chosen, k] - q[k], heading[k]
     ahead = norm(offset)
     for p in range(chosen, len(way.points) - 1):
         end, cut = p, way.cut[p]
-        while end < len(way.points) - 2 and way.remaining[p] - way.remaining[end + 1] < ONE_TURN:
+        while end < len(way.points) - 2 and way.remaining[p] - way.remaining[end + 1] < near:
             end += 1
             cut = min(cut, way.cut[end])
         for k in range(3):
@@ -84,7 +85,7 @@ def stopping(brake: float, distance: float, speed: float, slot: float) -> float:
 def beside_boxes(world: World, w: int, q: Array, heading: Array) -> None:
     """Bends a heading along the nearest box where it leads into one close by."""
     offset, nearest = np.zeros(3), np.empty(3)
-    nearest_box(tree_of(world, w), q, world.radius[w, 0] + BOX_MARGIN_M, offset)
+    nearest_box(tree_of(world, w), q, world.radius[w, 0] + BOX_MARGIN * world.unit[w, 0], offset)
     unit(offset, nearest)
     into = dot(heading, nearest)
     if into > 0.0:
@@ -143,7 +144,8 @@ def law_row(
     a_max, slot = world.a_max[w, 0], world.slot
     beside_boxes(world, w, q, heading)
     closing = dot(v, heading)
-    free = free_way(tree_of(world, w), world.radius[w, 0] + FREE_MARGIN_M, q, heading)
+    kept = world.radius[w, 0] + FREE_MARGIN * world.unit[w, 0]
+    free = free_way(tree_of(world, w), kept, q, heading)
     speed = min(stopping(a_max, min(remaining, free), closing, slot), world.v_max[w, 0], corner)
     wanted = np.empty(3)
     for k in range(3):

@@ -22,6 +22,7 @@ class Way(NamedTuple):
         low, spacing: (F, 3) m, see `DistanceField`. nodes: (F, 3), nodes along each axis.
         stop: (4,), where a stop is best for the tour, and the radius in m of the ball around the
             goal in which a stop is free; 0 if it is not free all around.
+        unit: (1,) m, see `Scene.unit`.
         first: (F,), index of each field's first node in `values` (V,), which are in metres.
     """
 
@@ -38,9 +39,10 @@ class Way(NamedTuple):
     first: NDArray[np.int64]
     values: NDArray[np.float32]
     stop: Array
+    unit: Array
 
 
-WAYPOINT_FAVOUR = 1.0  # metres by which a path over waypoints may be longer than a field's
+WAYPOINT_FAVOUR = 1.0  # units by which a path over waypoints may be longer than a field's
 
 
 @compiled
@@ -101,7 +103,7 @@ def query_row(way: Way, q: Array, direction: Array) -> tuple[float, int]:
         if math.isfinite(found):
             break
     found = max(found, straight) if math.isfinite(found) else np.inf
-    if chosen >= 0 and best <= found + WAYPOINT_FAVOUR:
+    if chosen >= 0 and best <= found + WAYPOINT_FAVOUR * way.unit[0]:
         return best, chosen
     unit(downhill, direction)
     return found, -1

@@ -24,14 +24,15 @@ from mjcollect.geometry.turns import in_axes
 from mjcollect.guidance.distance_field import WAY_ROOM
 from mjcollect.scene.scene import Scene
 
-CLEARANCES = (WAY_ROOM, 1.5, 0.75)  # metres of clearance that are tried in turn
+# Distances are in units of the scene, see `Scene.unit`.
+CLEARANCES = (WAY_ROOM, 1.5, 0.75)  # Clearances that are tried in turn.
 SIGHT_SHARE = 0.3  # A line of sight to a waypoint keeps this share of the clearance.
-STRAIGHT_SIGHT = 1.5  # metres of clearance of the line of sight to the aim on a straight path
+STRAIGHT_SIGHT = 1.5  # Clearance of the line of sight to the aim on a straight path
 SHIFT_SHARE = 0.4  # A corner that is moved out keeps this share of the clearance.
 CUT_SHARE = 0.5  # A turn may cut this share of the clearance.
-MOST_SHIFT = 15.0  # metres by which a corner is moved out at most
-ENDS = 12.0  # metres at either end of a path in which it may keep less clearance
-LEAST_CUT = 0.1  # metres by which a turn may cut every corner at least
+MOST_SHIFT = 15.0  # A corner is moved out by this at most.
+ENDS = 12.0  # A path may keep less clearance so far from either end.
+LEAST_CUT = 0.1  # A turn may cut every corner by this at least.
 
 
 class Waypoints(NamedTuple):
@@ -61,12 +62,16 @@ class Waypoints(NamedTuple):
             path: (P, 3), the tight path, start and aim included. ways: free polylines (P, 3) with
                 the same ends, not tight.
         """
-        boxes, radius = scene.tree, scene.reach
-        if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT):
-            return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT)
-        for clearance in CLEARANCES:
+        boxes, radius, unit = scene.tree, scene.reach, scene.unit
+        if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT * unit):
+            return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT * unit)
+        for clearance in np.array(CLEARANCES) * unit:
             tight = [tighten(way, boxes, radius + clearance) for way in ways]
-            tight = [way for way in tight if _keeps_midway(way, boxes, radius + 0.99 * clearance)]
+            tight = [
+                way
+                for way in tight
+                if _keeps_midway(way, boxes, radius + 0.99 * clearance, ENDS * unit)
+            ]
             if tight:
                 way = min(tight, key=path_length)
                 way, shift = _moved_out(way, scene, radius + SHIFT_SHARE * clearance)
@@ -94,7 +99,7 @@ class Waypoints(NamedTuple):
             points=way[1:].copy(),
             remaining=np.append(np.cumsum(length[:0:-1])[::-1], 0.0),
             next_direction=np.concatenate([units[1:], units[-1:]]),
-            cut=cut[1:] + LEAST_CUT,
+            cut=cut[1:] + LEAST_CUT * scene.unit,
             tree=scene.tree,
             margin=np.stack(kept),
             most_margin=np.max(kept, axis=1, initial=0.0),
@@ -105,17 +110,17 @@ def _keeps(way: Array, boxes: Tree, radius: float) -> bool:
     return all(bool(segment_clear(a, b, boxes, radius)) for a, b in itertools.pairwise(way))
 
 
-def _keeps_midway(way: Array, boxes: Tree, radius: float) -> bool:
-    """Returns whether a way keeps `radius` but for its first and last few metres.
+def _keeps_midway(way: Array, boxes: Tree, radius: float, least: float) -> bool:
+    """Returns whether a way keeps `radius` but for its first and last `least` metres.
 
     There it may have to come nearer, to a goal beside a wall.
     """
-    kept = np.array([_keeps(piece, boxes, radius) for piece in itertools.pairwise(way)])
+    kept = np.array([_keeps(way[i : i + 2], boxes, radius) for i in range(len(way) - 1)])
     if not kept.any():
         return False
     first, last = np.flatnonzero(kept)[[0, -1]]
     ends = path_length(way[: first + 1]), path_length(way[last + 1 :])
-    return bool(kept[first : last + 1].all()) and max(ends) <= ENDS
+    return bool(kept[first : last + 1].all()) and max(ends) <= least
 
 
 def _crosses(start: Array, end: Array, boxes: Array) -> NDArray[np.bool_]:
@@ -138,8 +143,8 @@ def _moved_out(way: Array, scene: Scene, radius: float) -> tuple[Array, Array]:
         if size < 1e-3:
             continue
         speed = min(scene.v_max, np.sqrt(2 * scene.a_max * reach))
-        out = min((speed * size) ** 2 / (8 * scene.a_max), MOST_SHIFT)
-        while out > LEAST_CUT / 2:
+        out = min((speed * size) ** 2 / (8 * scene.a_max), MOST_SHIFT * scene.unit)
+        while out > LEAST_CUT * scene.unit / 2:
             moved = np.clip(way[i] + turn / size * out, *scene.bounds)
             corner = np.stack([way[i - 1], moved, way[i + 1]])
             if _keeps(corner, scene.tree, radius):

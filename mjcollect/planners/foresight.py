@@ -123,6 +123,7 @@ class Foresight:
         bounds = scene.bounds + np.array([[-OUTSIDE], [OUTSIDE]])
         bounds = np.stack([np.minimum(bounds[0], q - 1.0), np.maximum(bounds[1], q + 1.0)])
         other = copy.copy(scene)
+        object.__setattr__(other, "unit", scene.unit)  # that of the whole a_max
         object.__setattr__(other, "a_max", self.a_max)
         object.__setattr__(other, "bounds", bounds)
         return other

@@ -31,14 +31,15 @@ from mjcollect.planners.plan import Plan, is_flyable
 from mjcollect.planners.slot_program import COMFORT, Program
 
 HORIZON = 25  # A plan has at most this many slots.
-LEAD = 40.0  # The carrot, which pulls a plan's end along the path, is at most this far ahead (m).
-BEYOND = (25.0, 50.0)  # Where a moving box holds it, it is farther ahead by these (m).
+# Distances are in units of the scene, see `Scene.unit`, unless they say otherwise.
+LEAD = 40.0  # The carrot, which pulls a plan's end along the path, is at most this far ahead.
+BEYOND = (25.0, 50.0)  # Where a moving box holds it, it is farther ahead by these.
 PEEK = 0.5  # The carrot is in sight along a line with this share of the body's room.
-GRAIN = 2.0  # Points of the path are this far apart (m) when they are tested for being in sight.
-JOIN = 60.0  # The path may be joined between its corners within this distance along it (m).
+GRAIN = 2.0  # Points of the path are this far apart when they are tested for being in sight.
+JOIN = 60.0  # The path may be joined between its corners within this distance along it.
 FIRST_SHARE = 0.6  # The first guess accelerates along the path at this share of a_max.
 ROUNDS = 6  # Where there is no plan yet, the program is solved this often round its last solution.
-SETTLED = 0.5  # These rounds end when the plan's end moves by less than this (m).
+SETTLED = 0.5  # These rounds end when the plan's end moves by less than this.
 TRIES = 3  # A decision tries at most this many numbers of slots.
 INSIDE = 1e-3  # A plan stops inside the tolerance by this margin (m).
 
@@ -226,7 +227,7 @@ class Mpc:
             if solution is None:
                 break
             path = solution.q
-            elastic = elastic and solution.slack > COMFORT
+            elastic = elastic and solution.slack > COMFORT * self._scene.unit
             if elastic:
                 continue
             arrives = arrive or np.linalg.norm(path[-1] - segment.centre) <= segment.radius
@@ -234,7 +235,10 @@ class Mpc:
             if not is_flyable(self._world, plan, self._foresight):
                 self.counts["refused"] += 1
                 continue
-            settled = best is not None and np.linalg.norm(plan.q[-1] - best.q[-1]) < SETTLED
+            settled = (
+                best is not None
+                and np.linalg.norm(plan.q[-1] - best.q[-1]) < SETTLED * self._scene.unit
+            )
             best = plan
             if settled:
                 break
@@ -250,7 +254,8 @@ class Mpc:
         carrot = self._carrot_in_sight(way, end)
         if foresight is None:
             return carrot
-        farther = point_along(way, _along(way, end) + LEAD + np.array(BEYOND))
+        beyond = (LEAD + np.array(BEYOND)) * self._scene.unit
+        farther = point_along(way, _along(way, end) + beyond)
         for pull in (carrot, *farther):
             point = foresight.way_round(end, pull, len(path) - 1, self._scene)
             if point is not None:
@@ -264,13 +269,13 @@ class Mpc:
         a corner the sight round it must not need all the room that a body needs: where the way is
         tight, the plan's end would have to be exactly at the corner to see on.
         """
-        scene = self._scene
-        there = _along(way, end) + LEAD
+        scene, unit = self._scene, self._scene.unit
+        there = _along(way, end) + LEAD * unit
         point = point_along(way, there)
         room = PEEK * scene.reach
         if segment_clear(end, point, scene.tree, room):
             return point
-        points = point_along(way, np.arange(there, 0.0, -GRAIN))
+        points = point_along(way, np.arange(there, 0.0, -GRAIN * unit))
         in_sight = segment_clear(end, points, scene.tree, room)
         return np.asarray(points[int(in_sight.argmax())])
 
@@ -314,7 +319,7 @@ class Mpc:
             return np.stack([q, path[-1]])
         corners = marks(path)
         here = _along(path, q)
-        joins = here + np.arange(0.0, JOIN, GRAIN)
+        joins = here + np.arange(0.0, JOIN, GRAIN) * self._scene.unit
         tried = np.unique(np.concatenate([joins[joins < corners[-1]], corners[corners > here]]))
         if len(tried) == 0:  # It is beside the very end, out of its sight.
             return np.stack([q, path[-1]])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.turns import around, from_axes, in_axes
 
-SIGHT = 40.0  # Boxes within this many metres of a piece get a plane.
+SIGHT = 40.0  # Planners have planes made for boxes within so many units of the scene.
 _HALVINGS = 20  # The search for a piece's point nearest to a box halves the piece this often.
 
 
@@ -32,8 +32,8 @@ class Planes:
     clearance: Array
 
 
-def separate(path: Array, boxes: Array) -> Planes:
-    """Returns planes between the straight pieces of `path` (M + 1, 3) and near boxes.
+def separate(path: Array, boxes: Array, sight: float = SIGHT) -> Planes:
+    """Returns planes between the straight pieces of `path` (M + 1, 3) and boxes within `sight` m.
 
     `boxes` are (B, 2 or 3, 3), or (M, B, 2 or 3, 3) where each piece has boxes of its own. The
     normal joins the nearest points of piece and box, which gives the largest clearance that any
@@ -42,7 +42,7 @@ def separate(path: Array, boxes: Array) -> Planes:
     start, end, hull = path[:-1, None], path[1:, None], around(boxes)
     low, high = hull[..., 0, :], hull[..., 1, :]
     gap = np.maximum(low - np.maximum(start, end), np.minimum(start, end) - high)
-    near = np.sum(np.maximum(gap, 0.0) ** 2, axis=-1) < SIGHT**2
+    near = np.sum(np.maximum(gap, 0.0) ** 2, axis=-1) < sight**2
     piece, box = np.nonzero(near)
     boxes = np.broadcast_to(boxes, (*near.shape, *boxes.shape[-2:]))[piece, box]
     # In the boxes' own axes; rotation keeps what is measured along a normal.

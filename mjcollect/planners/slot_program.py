@@ -23,7 +23,7 @@ from mjcollect.planners.foresight import Foresight
 from mjcollect.planners.separating_planes import SIGHT, separate
 from mjcollect.scene.scene import Scene
 
-# A box costs as soon as the clearance is less than this above the least allowed one (m).
+# A box costs as soon as the clearance is less than this above the least one, in units of the scene.
 COMFORT = 0.5
 # The cost of one metre of missing comfort in one slot, in metres of distance to the pulling point.
 PROXIMITY_COST = 1e-3
@@ -159,7 +159,7 @@ class Program:
             moving = self.foresight.swept(count, scene.slot)
             still = np.broadcast_to(boxes, (count, *boxes.shape))
             boxes = joined(still, moving, axis=1)
-        planes = separate(path, boxes)
+        planes = separate(path, boxes, SIGHT * scene.unit)
         piece, normal = planes.piece, planes.normal
         proven = scene.reach + scene.a_max * scene.slot**2 / 8 + SOLVER_MARGIN_M
         least = proven + np.broadcast_to(margin, count)[piece]
@@ -167,13 +167,13 @@ class Program:
         here = normal @ path[0] - planes.offset
         first = piece == 0
         least[first] = np.minimum(least, np.maximum(here - SOLVER_MARGIN_M, scene.reach))[first]
-        right = normal @ path[0] - planes.offset - least - COMFORT
+        right = normal @ path[0] - planes.offset - least - COMFORT * scene.unit
         later = ~first
         rows.add(right, (at_q[piece + 1], -normal), (at_slack[piece], -1.0))
         piece, normal, right = piece[later], normal[later], right[later]
         rows.add(right, (at_q[piece], -normal), (at_slack[piece], -1.0))
         rows.add(np.zeros(count), (at_slack, -1.0))
-        most = 1e4 if elastic else COMFORT + given
+        most = 1e4 if elastic else COMFORT * scene.unit + given
         rows.add(np.array(np.broadcast_to(most, count)), (at_slack, 1.0))
 
     def _bounds(
@@ -191,7 +191,7 @@ class Program:
         scene = self.scene
         lag = scene.physics_step / 4
         for wall, side in zip(scene.bounds, (-1.0, 1.0), strict=True):
-            piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT)
+            piece, axis = np.nonzero(np.abs(path[1:] - wall) < SIGHT * scene.unit)
             clearance = side * (wall - path[0])[axis]
             rows.add(clearance - 1e-7, (at_q[piece + 1, axis], side))
             rows.add(

@@ -30,6 +30,7 @@ from mjcollect.scene.place import Origin
 
 MAX_EXTENT = 1e5  # metres; in wider bounds 1e-6 m is no longer resolved along a mission
 MAX_SUBSTEPS = 1000  # A slot has at most so many physics steps.
+RACER_STOP = 62.5  # metres in which the suite's own drone stops from 50 m/s with 20 m/s^2
 LIMIT_RANGE = (1e-6, 1e6)  # SI units; squares and sums of limits outside lose their digits
 POSITIVE_LIMITS = (
     "v_max",
@@ -123,6 +124,15 @@ class Scene:
     def reach(self) -> float:
         """Returns how near (m) the body's centre may come to a box: radius and clearance."""
         return self.uav_radius + self.clearance
+
+    @cached_property
+    def unit(self) -> float:
+        """Returns the metres that distances of guidance and observations are in, 1 for the racer.
+
+        They go with the stopping distance from v_max, so that a small drone in a room keeps such
+        distances, and sees such numbers, as the racer does in a city.
+        """
+        return self.v_max**2 / (2 * self.a_max) / RACER_STOP
 
     @cached_property
     def boxes(self) -> Array:

@@ -24,6 +24,7 @@ def random_way(rng, least, counts=((5, 7, 4), (9, 3, 6))) -> Way:
         margin=np.zeros((1, 1)),
         most_margin=np.zeros(1),
         stop=np.zeros(4),
+        unit=np.ones(1),
         low=np.array([[0.0, 0, 0], [10.0, 20, 5]]),
         spacing=np.array([[10.0, 8, 12], [2.0, 5, 3]]),
         nodes=np.array(counts),

@@ -29,8 +29,10 @@ from mjcollect.planners.reference.slot_allotment import Allotments, Slots, faste
 from mjcollect.planners.slot_program import COMFORT
 from mjcollect.scene.scene import Scene
 
-HOPE = -1.0  # An allotment is tried if its margin is at least this (m).
-SHAPE = 0.1  # The tight shape of a way keeps this margin to boxes beyond the body's radius (m).
+HOPE = -1.0  # An allotment is tried if its margin is at least so many units of the scene.
+SHAPE = (
+    0.1  # The tight shape of a way keeps this margin to boxes beyond the body's radius, in units.
+)
 TRIED = 3  # At most this many allotments with the same total of slots are tried.
 SOFT_ROUNDS = 6  # A program is solved anew at most this often while boxes are overlapped.
 ROUNDS = 10  # A program is solved at most this often in all.
@@ -149,13 +151,14 @@ class Reference:
 
     def _fewer(self, flight: Rehearsal) -> Rehearsal | None:
         """Returns a flight in fewer slots past the same sides of the boxes, or None."""
-        boxes, radius = self._scene.tree, self._scene.reach + SHAPE
+        boxes, radius = self._scene.tree, self._scene.reach + SHAPE * self._scene.unit
         ways = [tighten(path, boxes, radius) for path in flight.segments]
         slots = tuple(len(path) - 1 for path in flight.segments)
         allotments = Allotments(self._scene, self._balls, ways, slots, self.statuses)
         hopeful = list[Slots]()  # The fewest slots come first.
+        least = HOPE * self._scene.unit
         while found := [
-            less for less in allotments.fewer(slots)[:TRIED] if allotments.margin(less) >= HOPE
+            less for less in allotments.fewer(slots)[:TRIED] if allotments.margin(less) >= least
         ]:
             hopeful, slots = found + hopeful, found[0]
         for slots in hopeful:
@@ -177,7 +180,7 @@ class Reference:
                 return None
             paths, miss = motion.segments, float(motion.misses.sum())
             if elastic:
-                elastic = motion.slack > COMFORT
+                elastic = motion.slack > COMFORT * self._scene.unit
                 if elastic and number >= SOFT_ROUNDS:
                     return None
                 continue
