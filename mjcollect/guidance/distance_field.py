@@ -143,16 +143,23 @@ class DistanceField:
         return np.asarray(self.low + nodes * self.h)
 
     def entry(self, start: Array) -> tuple[int, ...] | None:
-        """Returns the best node near `start` (3,) joined to the aim and clear to reach, or None."""
+        """Returns the best node near `start` (3,) joined to the aim and clear to reach, or None.
+
+        If there is one, the way to it keeps about the clearance that `start` has.
+        """
         index = np.rint((start - self.low) / self.h).astype(int)
         near = index + np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), -1)
         near = near.reshape(-1, 3)
         near = near[np.all((near >= 0) & (near < self._shape), axis=1)]
         near = near[self._free[tuple(near.T)]]
         scene = self._scene
-        near = near[segment_clear(start, self.points(near), scene.tree, scene.reach)]
-        if len(near) == 0:
+        for reach in (room_kept(scene, start), scene.reach):
+            clear = segment_clear(start, self.points(near), scene.tree, reach)
+            if clear.any():
+                break
+        else:
             return None
+        near = near[clear]
         total = np.linalg.norm(self.points(near) - start, axis=1) + self._distance[tuple(near.T)]
         return tuple(near[int(np.argmin(total))])
 
@@ -189,6 +196,12 @@ def _half_widths(focus: Array, total: float, aim: Array) -> Array:
 WAY_ROOM = 2.5  # units of the scene; clearance that paths keep from boxes where they can
 
 
+def room_kept(scene: Scene, point: Array) -> float:
+    """Returns the distance (m) from boxes that a way to or from a point (3,) should keep."""
+    beside = float(gap_to_boxes(point, scene.tree)) - scene.reach
+    return scene.reach + min(1.01 * WAY_ROOM * scene.unit, max(0.9 * beside, 0.0))
+
+
 class NoWay(ValueError):
     """Says that a field does not join two points."""
 
@@ -201,9 +214,7 @@ def way_down(field: DistanceField, scene: Scene, start: Array, aim: Array) -> Ar
     Raises:
         NoWay: the field does not join the two points.
     """
-    radius, boxes = scene.reach, scene.tree
-    beside = float(gap_to_boxes(aim, boxes)) - radius
-    reach = radius + min(1.01 * WAY_ROOM * scene.unit, max(0.9 * beside, 0.0))
+    radius, boxes, reach = scene.reach, scene.tree, room_kept(scene, aim)
     points, node = [start], field.entry(start)
     while not segment_clear(points[-1], aim, boxes, reach):
         if node is None:
