@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import find_objects, label
+from scipy.spatial import KDTree
 
 from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.moving import MovingBox
@@ -255,15 +256,21 @@ def _clearance(x: Array, boxes: Array, radius: float, yaws: Array | None = None)
     yaw (degrees) about its centre is one that is not, if the flight is turned back about it.
     """
     least, yaws = np.full(len(x), np.inf), np.zeros(len(boxes)) if yaws is None else yaws
+    ends = np.concatenate([x[1:], x[-1:]])
+    longest = np.linalg.norm(ends - x, axis=1).max() / 2
+    middles = KDTree((x + ends) / 2)
     for (low, high), yaw in zip(boxes, yaws, strict=True):
-        start = x if yaw == 0.0 else _turned_back(x, (low + high) / 2, float(yaw))
-        end = np.concatenate([start[1:], start[-1:]])
+        centre, around = (low + high) / 2, np.linalg.norm(high - low) / 2
+        near = np.array(middles.query_ball_point(centre, around + radius + longest), dtype=int)
+        start, end = x[near], ends[near]
+        if yaw != 0.0:
+            start, end = (_turned_back(points, centre, float(yaw)) for points in (start, end))
         middle, half = (start + end) / 2, np.linalg.norm(end - start, axis=1) / 2
         gap = np.maximum(np.maximum(low - middle, middle - high), 0.0)
-        near = np.flatnonzero(np.linalg.norm(gap, axis=1) - half < radius)
-        if len(near):
-            distance = _piece_to_box(start[near], end[near] - start[near], low, high)
-            least[near] = np.minimum(least[near], distance)
+        close = np.linalg.norm(gap, axis=1) - half < radius
+        if close.any():
+            start, end, near = start[close], end[close], near[close]
+            least[near] = np.minimum(least[near], _piece_to_box(start, end - start, low, high))
     return least
 
 

@@ -174,7 +174,7 @@ class Course:
         most = np.where(rng.random(count) < 0.5, min(LAST_PART * stopping, whole), whole)
         left = most * rng.random(count)
         q = point_along(path, whole - left)
-        ahead = point_along(path, np.minimum(whole - left + 1.0, whole)) - q
+        ahead = point_along(path, np.minimum(whole - left + scene.unit, whole)) - q
         ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
         fastest = np.minimum(np.sqrt(2 * scene.a_max * left), scene.v_max)
         v = ahead * (fastest * rng.uniform(*SPEEDS, count))[:, None]

@@ -10,6 +10,8 @@ from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.tree import Tree
 
+ROUNDS = 60  # Every point is pulled at most so often.
+
 
 def marks(path: Array) -> Array:
     """Returns the metres (P,) along a polyline (P, 3) to each of its points."""
@@ -35,10 +37,11 @@ def path_length(points: Array) -> float:
     return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
-def tighten(points: Array, boxes: Tree | Array, radius: float, rounds: int = 60) -> Array:
+def tighten(points: Array, boxes: Tree | Array, radius: float, unit: float = 1.0) -> Array:
     """Shortens a free polyline (P, 3) to (P', 3) while it keeps `radius` metres from every box.
 
-    Pieces that come closer than that already stay as they are.
+    Pieces that come closer than that already stay as they are. It ends when no point is moved by
+    more than a thousandth of `unit` metres.
     """
     boxes = boxes if isinstance(boxes, Tree) else Tree.of(boxes)
     points = _skip(points, boxes, radius)
@@ -47,11 +50,11 @@ def tighten(points: Array, boxes: Tree | Array, radius: float, rounds: int = 60)
     # Pieces are split so that corners can slide along edges; then every inner point is pulled
     # towards the line through its neighbours as far as both pieces stay clear.
     points = _split(points)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         before = points.copy()
         for i in range(1, len(points) - 1):
             points[i] = _pulled(points[i - 1], points[i], points[i + 1], boxes, radius)
-        if np.max(np.abs(points - before)) < 1e-3:
+        if np.max(np.abs(points - before)) < 1e-3 * unit:
             break
     return _skip(points, boxes, radius)
 

@@ -138,7 +138,7 @@ class Guidance:
             raise GuidanceError(str(error)) from None
 
     def _tight(self, way: Array) -> Array:
-        return tighten(way, self.scene.tree, self.scene.reach)
+        return tighten(way, self.scene.tree, self.scene.reach, self.scene.unit)
 
     def _best_stop(self) -> Array:
         """Returns `Way.stop`: a point towards where the tour goes on, or else the aim."""

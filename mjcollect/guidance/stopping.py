@@ -15,11 +15,12 @@ from mjcollect.geometry.compiled import Array, compiled
 from mjcollect.geometry.vectors import dot, lerp, norm, unit
 from mjcollect.guidance.way import Way
 
-MARGIN_S = 0.01  # seconds of the time left over that are not counted on
+SPARE_SHARE = 20  # One part in so many of a slot is not counted on of the time left over.
 # A stop that is moved by RIM_REACHED of the way, or more, stays RIM_SHARE of the radius inside.
 RIM_SHARE = 0.1
 RIM_REACHED = 0.25
 ASTRIDE = 0.2  # Nearer to the centre than this share of the radius, a stop is not moved outwards.
+SLOW = 0.02  # A body slower than this share of v_max may turn to any stop.
 STRETCH = 1e-6  # A time may exceed whole slots by this share of a slot.
 
 
@@ -57,11 +58,12 @@ def along(
     if braking >= near:
         slots = math.ceil(speed / a_max / slot - STRETCH)
         return max(braking, min(last, speed * slots * slot / 2))  # even braking over whole slots
-    slots = math.ceil((time_to_rest(near, speed, 0.0, a_max, top) + MARGIN_S) / slot - STRETCH)
+    spare = slot / SPARE_SHARE
+    slots = math.ceil((time_to_rest(near, speed, 0.0, a_max, top) + spare) / slot - STRETCH)
     low, high = near, last
     for _ in range(12):
         tried = (low + high) / 2
-        if time_to_rest(tried, speed, 0.0, a_max, top) <= slots * slot - MARGIN_S:
+        if time_to_rest(tried, speed, 0.0, a_max, top) <= slots * slot - spare:
             low = tried
         else:
             high = tried
@@ -103,13 +105,14 @@ def stop_row(
     for k in range(3):
         towards[k] = goal[k] - q[k]
     far, speed = unit(towards, towards), norm(v)
-    if speed > 1.0 and speed**2 / a_max + 2 * speed * slot >= far - radius:
+    if speed > SLOW * top and speed**2 / a_max + 2 * speed * slot >= far - radius:
         return along(goal, way.stop, radius, q, v, a_max, top, slot, towards)
     if far <= radius:
         return 0.0
     inwards, step = towards.copy(), np.empty(3)
     least = time_to_rest(far - radius, dot(v, towards), 0.0, a_max, top)
-    slots = math.ceil((least + MARGIN_S) / slot)
+    spare = slot / SPARE_SHARE
+    slots = math.ceil((least + spare) / slot)
     low, high = 0.0, 1.0
     for trial in range(9):
         share = 1.0 if trial == 0 else (low + high) / 2
@@ -117,7 +120,7 @@ def stop_row(
         for k in range(3):
             step[k] -= q[k]
         length = unit(step, towards)
-        if time_to_rest(length, dot(v, towards), 0.0, a_max, top) <= slots * slot - MARGIN_S:
+        if time_to_rest(length, dot(v, towards), 0.0, a_max, top) <= slots * slot - spare:
             low = share
             if trial == 0:
                 return length

@@ -39,7 +39,8 @@ def travel_times(scene: Scene) -> Array:
             if field.entry(points[start]) is None:
                 way = Guidance(scene, nodes[to], points[start]).length
             else:
-                tight = tighten(way_down(field, scene, points[start], aim), scene.tree, scene.reach)
+                found = way_down(field, scene, points[start], aim)
+                tight = tighten(found, scene.tree, scene.reach, scene.unit)
                 way = path_length(tight)
             length[start, to] = length[to, start] = way
     taken = np.array([0.0 if node < 0 else scene.epsilon for node in nodes])

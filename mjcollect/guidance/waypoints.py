@@ -66,7 +66,7 @@ class Waypoints(NamedTuple):
         if len(path) == 2 and _keeps(path, boxes, radius + STRAIGHT_SIGHT * unit):
             return cls._from(scene, path, np.zeros(2), STRAIGHT_SIGHT * unit)
         for clearance in np.array(CLEARANCES) * unit:
-            tight = [tighten(way, boxes, radius + clearance) for way in ways]
+            tight = [tighten(way, boxes, radius + clearance, unit) for way in ways]
             tight = [
                 way
                 for way in tight

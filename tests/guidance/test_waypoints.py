@@ -138,3 +138,23 @@ def test_a_passage_with_less_room_is_flown_in_its_middle_or_as_near_as_it_goes(r
     inside = dense(polyline(guide))
     inside = inside[(inside[:, 0] >= 200) & (inside[:, 0] <= 206)]
     assert gaps(inside, np.array(boxes)).min() >= RADIUS + 0.39 * min(room, WAY_ROOM) - 1e-9
+
+
+@pytest.mark.parametrize("beside", [0.55, 0.9, 2.0])
+def test_between_goals_beside_walls_a_way_keeps_clearance(beside):
+    """Both ends are nearer to a wall than the way is to the boxes between them."""
+    walls = np.array(
+        [
+            [[0.0, 0.0, 0.0], [60.0, 28.0, 60.0]],
+            [[150.0, 20.0, 0.0], [170.0, 60.0, 60.0]],
+            [[340.0, 32.0, 0.0], [400.0, 60.0, 60.0]],
+        ]
+    )
+    ends = {"depot": (30.0, 28.0 + beside, 30.0), "item": (370.0, 32.0 - beside, 30.0)}
+    guide = Guidance(scene(walls, **ends), 0, np.array(ends["depot"]))
+    points = polyline(guide)
+    check(guide)
+    far = (points[:, 0] > 60.0) & (points[:, 0] < 340.0)
+    midway = points[np.flatnonzero(far)[0] : np.flatnonzero(far)[-1] + 1]
+    assert least_gap(midway, walls) >= RADIUS + SHIFT_SHARE * WAY_ROOM - 1e-9
+    assert np.sort(guide.way.cut)[-1] >= 1.0  # A corner round the box may be cut.

@@ -15,6 +15,7 @@ from mjcollect.envs.recording import fly_law, record
 from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.flight.straight_line import roll_out
 from mjcollect.flight.world import World
+from mjcollect.generate.place import VEHICLES
 from mjcollect.geometry.boxes import point_box_distance, segment_box_distance
 from mjcollect.planners.foresight import CAUTION, LAG, MOST, Foresight
 from mjcollect.planners.mpc import HORIZON, Mpc
@@ -310,3 +311,17 @@ def test_the_program_flies_it(corridor, tmp_path):
     result = json.loads((out / "mission.json").read_text())
     assert (result["success"], result["planner"], result["order"]) == (True, "mpc", [0, 1])
     assert result["mission_time"] < 1.06 * result["detour_time"]
+
+
+def test_over_the_edge_of_a_roof_it_flies_on_without_a_halt():
+    """The way is tight at the edge: what is behind must be seen before the plan ends there."""
+    roof = np.array([[[-30.0, 55.6, 0.0], [30.0, 90.0, 24.0]]])
+    scene = Scene(
+        "roof", 0, np.array([[-100.0, -20.0, 0.0], [100.0, 120.0, 120.0]]), [0.0, 0.0, 0.6],
+        [[-5.0, 67.4, 25.3]], roof, **VEHICLES["delivery"].limits,
+    )  # fmt: skip
+    course = Course.segment(scene, (0,), 0)
+    flight = flown(course, Mpc(course))
+    assert flight.success
+    least = detour_bound(scene, -1, 0, course.guidance[0].length)
+    assert least < flight.trajectory.duration < least + 3 * scene.slot

@@ -152,7 +152,7 @@ class Reference:
     def _fewer(self, flight: Rehearsal) -> Rehearsal | None:
         """Returns a flight in fewer slots past the same sides of the boxes, or None."""
         boxes, radius = self._scene.tree, self._scene.reach + SHAPE * self._scene.unit
-        ways = [tighten(path, boxes, radius) for path in flight.segments]
+        ways = [tighten(path, boxes, radius, self._scene.unit) for path in flight.segments]
         slots = tuple(len(path) - 1 for path in flight.segments)
         allotments = Allotments(self._scene, self._balls, ways, slots, self.statuses)
         hopeful = list[Slots]()  # The fewest slots come first.
