@@ -40,7 +40,7 @@ def test_the_racer_s_unit_is_the_metre():
 @pytest.mark.parametrize(("length", "time"), [(0.25, 0.5), (2.0, 4.0), (1 / 128, 0.25)])
 @pytest.mark.parametrize("observation", ["path", "guided"])
 def test_scaled_worlds_show_the_same_and_lead_the_same_way(length, time, observation):
-    """Powers of two scale without rounding, so all but some absolute tolerances is equal."""
+    """Powers of two scale without rounding; what is left is the shield's margin of 1e-6 m."""
     seen = []
     for scene in (crowded(3, 12), scaled(crowded(3, 12), length, time)):
         course = Course.segment(scene, (0,), 0)
@@ -54,13 +54,12 @@ def test_scaled_worlds_show_the_same_and_lead_the_same_way(length, time, observa
             made.append(np.concatenate([sims.observe(), sims.law()], axis=1))
             outcome = sims.step(sims.law() if slot % 2 else rng.uniform(-1, 1, (24, 3)))
             sims.reset(np.flatnonzero(outcome.terminated))
-            made.append(
-                np.stack([outcome.reward / scene.slot, outcome.shielded, outcome.success], axis=1)
-            )
+            reward = outcome.reward / scene.slot
+            made.append(np.stack([reward, outcome.shielded, outcome.success], axis=1))
         sims.close()
         seen.append(made)
     for one, other in zip(*seen, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-3)
 
 
 def test_scaled_missions_take_scaled_times():
