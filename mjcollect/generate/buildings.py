@@ -1,4 +1,4 @@
-"""Reads footprints and heights of buildings from map files: GeoJSON, and OpenStreetMap extracts."""
+"""Reads footprints and heights of buildings from map files: GeoJSON, CityJSON, OpenStreetMap."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import shapely
 
+from mjcollect.generate.cityjson import outlines
 from mjcollect.scene.file_format import SceneError
 
 LEVEL = 3.0  # metres of a storey
@@ -49,10 +50,10 @@ def read_buildings(path: Path) -> Iterator[Building | None]:
     if path.name.lower().endswith(OSM_ENDINGS):
         yield from _from_osm(path)
     else:
-        yield from _from_geojson(path)
+        yield from _from_json(path)
 
 
-def _from_geojson(path: Path) -> Iterator[Building | None]:
+def _from_json(path: Path) -> Iterator[Building | None]:
     size = path.stat().st_size
     if size > MOST_BYTES:
         fix = f"is larger than {MOST_BYTES // 1_000_000} MB; cut the place out first"
@@ -65,8 +66,12 @@ def _from_geojson(path: Path) -> Iterator[Building | None]:
         where = f" at line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""
         fix = f"is not valid JSON{where}; it may be cut off: download it again"
         raise SceneError("map file", str(path), fix) from None
+    if isinstance(document, dict) and document.get("type") == "CityJSON":
+        for found in outlines(document):
+            yield None if found is None else Building(*found)
+        return
     if not isinstance(document, dict) or document.get("type") != "FeatureCollection":
-        fix = "is no GeoJSON FeatureCollection; export buildings as one"
+        fix = "is neither a GeoJSON FeatureCollection nor CityJSON; export buildings as one"
         raise SceneError("map file", str(path), fix)
     crs = document.get("crs")
     name = crs.get("properties", {}).get("name", "") if isinstance(crs, dict) else ""

@@ -101,7 +101,7 @@ def plot_path_3d(
         axes.plot(*np.stack([point, foot]).T, zorder=3, **line)
         axes.scatter(*point, depthshade=False, **style)
         above = point + (high - low) * [0, 0, 0.025]
-        axes.text(*above, label, ha="center", va="bottom", zorder=8, **TEXT)
+        axes.text(*above, label, ha="center", va="bottom", zorder=5.5, **TEXT)
     axes.scatter(*done.trajectory.x[-1], depthshade=False, **END)
     return _finish(figure, path, done, by_speed, guidance_path is not None, bool(moving))
 
@@ -138,7 +138,7 @@ def plot_path_top(
             across = "left" if x - low[0] < high[0] - x else "right"
         axes.annotate(
             f"{label} · z {z:.0f} m", (x, y), xytext=(0, 12 if above else -12),
-            textcoords="offset points", ha=across, va="bottom" if above else "top", zorder=8,
+            textcoords="offset points", ha=across, va="bottom" if above else "top", zorder=5.5,
             **TEXT,
         )  # fmt: skip
     axes.scatter(*done.trajectory.x[-1, :2], clip_on=False, **END)
