@@ -66,7 +66,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     print(f"{args.out}: {len(scene.items)} items")
     if args.no_fly is not None:
-        print(f"{found.buildings} no-fly zones, {zones} boxes")
+        print("\n".join([f"{found.buildings} no-fly zones, {zones} boxes", *found.mended()]))
     print("\n".join(summary.lines(args.height)))
     return 0
 

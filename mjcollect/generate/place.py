@@ -81,14 +81,19 @@ class Summary:
         ]
         if self.other:
             out.append(f"{self.other} features are no areas")
-        if self.repaired:
-            names = ", ".join(self.repaired[:5]) + (", ..." if len(self.repaired) > 5 else "")
-            out.append(f"{len(self.repaired)} with crossing rings, repaired: {names}")
+        out += self.mended()
         if self.unknown:
             out.append(f"{self.unknown} without a height; they count as {height:g} m high")
         if self.cut:
             out.append(f"{self.cut} higher than the ceiling, cut off there")
         return out
+
+    def mended(self) -> list[str]:
+        """Returns a line that names what was repaired, if anything was."""
+        if not self.repaired:
+            return []
+        names = ", ".join(self.repaired[:5]) + (", ..." if len(self.repaired) > 5 else "")
+        return [f"{len(self.repaired)} with crossing rings, repaired: {names}"]
 
 
 def boxes_of(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import osmium
 import pytest
 import shapely
 from pyproj import Geod
@@ -65,8 +66,10 @@ def run(tmp_path, capsys):
     """Imports a document or text; returns exit code, scene or None, and what was said."""
 
     def imported(document=None, *flags, name="map.geojson"):
-        text = document if isinstance(document, str) else json.dumps(document or collection())
-        (tmp_path / name).write_text(text)
+        if not isinstance(document, bytes):
+            text = document if isinstance(document, str) else json.dumps(document or collection())
+            document = text.encode()
+        (tmp_path / name).write_bytes(document)
         out = tmp_path / "scene.json"
         given = [str(tmp_path / name), "--center", str(LAT), str(LON), "--size", "180"]
         code = main([*given, "--random-items", "6", "--out", str(out), "--overwrite", *flags])
@@ -150,11 +153,15 @@ def test_no_fly_zones_are_boxes_of_their_own_kind(run, tmp_path):
     for item in walls:  # by buildings, not by zones
         assert point_box_distance(item, scene.boxes[:count]).min() <= BESIDE[1] + 1e-3
     assert Scene.from_json(json.dumps(scene.to_dict())) == scene
+    bow_tie = [[-50.0, 40], [-30, 60], [-30, 40], [-50, 60]]
+    crossing = collection([feature([bow_tie], "zone7")])
+    (tmp_path / "zones.geojson").write_text(json.dumps(crossing))
+    assert "repaired: bzone7" in run(None, "--no-fly", str(tmp_path / "zones.geojson"))[2]
     (tmp_path / "zones.geojson").write_text("[")
     assert run(None, "--no-fly", str(tmp_path / "zones.geojson"))[0] == 2
 
 
-def test_extracts_of_openstreetmap_are_read(run):
+def test_extracts_of_openstreetmap_are_read(run, tmp_path):
     points = [(1, -20.0, -10.0), (2, 20, -10), (3, 20, 10), (4, -20, 10)]
     nodes = "".join(
         f'<node id="{number}" lat="{lat}" lon="{lon}" version="1"/>'
@@ -169,6 +176,13 @@ def test_extracts_of_openstreetmap_are_read(run):
     assert code == 0, said
     (box,) = scene.obstacles
     assert sorted((box[1] - box[0]).tolist()) == pytest.approx([15.0, 20.0, 40.0], abs=0.05)
+    (tmp_path / "small.osm").write_text(text)
+    with osmium.SimpleWriter(str(tmp_path / "small.osm.pbf")) as binary:
+        for thing in osmium.FileProcessor(str(tmp_path / "small.osm")):
+            binary.add(thing)
+    code, packed, said = run((tmp_path / "small.osm.pbf").read_bytes(), name="map.osm.pbf")
+    assert code == 0, said
+    np.testing.assert_allclose(packed.obstacles, scene.obstacles, atol=0.02)
     assert run("<osm", name="map.osm")[0] == 2
 
 
