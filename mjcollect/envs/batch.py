@@ -7,6 +7,7 @@ the same as in the single dm-control environment.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Protocol
@@ -22,8 +23,9 @@ from torchrl.envs import EnvBase
 from mjcollect.envs.course import Course, StartKind
 from mjcollect.envs.episode import SAVED, Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
+from mjcollect.flight.contact import may_touch_rows
 from mjcollect.flight.disturbance import Disturbances
-from mjcollect.geometry.compiled import Array, Bools, Indices
+from mjcollect.geometry.compiled import Array, Bools, Indices, plain
 from mjcollect.scene.mjcf import build, compile_model, let_boxes_sleep
 from mjcollect.scene.scene import Scene
 
@@ -47,7 +49,11 @@ class Fleet(Protocol):
 
 
 class Simulations:
-    """Runs N flights in this process, on NumPy arrays: reset, step, observe."""
+    """Runs N flights in this process, on NumPy arrays: reset, step, observe.
+
+    MuJoCo looks for contacts only in slots in which a body may come near a box, since looking
+    costs the more the more boxes there are. No state changes by a bit for that.
+    """
 
     def __init__(
         self,
@@ -75,8 +81,9 @@ class Simulations:
         scenes = {id(course.scene): course.scene for course in courses}
         alone = len(scenes) == 1  # Then its boxes may sleep: each thread's data is its own.
         models = {key: _compiled(scene, solid, alone) for key, scene in scenes.items()}
-        each = [models[id(self.episodes.course(i).scene)] for i in range(count)]
-        self._models = each
+        each = [models[id(self.episodes.course(i).scene)][0] for i in range(count)]
+        self._models = [models[id(self.episodes.course(i).scene)] for i in range(count)]
+        self._near = np.empty(count, dtype=bool)
         largest = each[0] if len(models) == 1 else _largest(list(scenes.values()))
         self._data = [mujoco.MjData(largest) for _ in range(threads)]
         # MuJoCo's nthread=0 steps in the calling thread.
@@ -154,8 +161,11 @@ class Simulations:
             acceleration: (N, 3) in m/s^2, held for the slot, or (N, n, 3), one per physics step.
         """
         self._control[:] = acceleration if acceleration.ndim == 3 else acceleration[:, None]
+        q, v = plain(self.state[:, 1:4]), plain(self.state[:, 4:7])
+        may_touch_rows(self.episodes.world, q, v, self._control, self._near)
+        near = self._near.tolist()
         self._rollout.rollout(
-            self._models,
+            [pair[not looks] for pair, looks in zip(self._models, near, strict=True)],
             self._data,
             self.state,
             self._control,
@@ -185,12 +195,17 @@ class Simulations:
 
 
 @lru_cache(maxsize=4)
-def _compiled(scene: Scene, solid: bool, alone: bool) -> mujoco.MjModel:
-    """Returns the scene's model, which training and evaluation share: do not change it."""
+def _compiled(scene: Scene, solid: bool, alone: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
+    """Returns the scene's model, and the same without contacts.
+
+    Training and evaluation share them: do not change them.
+    """
     model = compile_model(scene, solid=solid)
     if alone:
         let_boxes_sleep(model)
-    return model
+    other = copy.copy(model)
+    other.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    return model, other
 
 
 def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:

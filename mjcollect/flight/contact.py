@@ -14,6 +14,8 @@ from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
+FORETOLD = 1e-3  # metres by which a slot's path may differ from what is foretold of it, far more
+# than rounding; MuJoCo looks for contacts where a body may come that near a box.
 # Disturbed flights may be so many metres beyond the bounds, since a corner may hold the depot.
 MARGIN = 5.0
 
@@ -55,6 +57,32 @@ def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
                 for s in range(len(touch)):
                     touch[s] = touch[s] or segment_gap(path[s], path[s + 1], box) < radius
         leaf = next_leaf(tree, leaf, low, high, radius)
+
+
+@compiled
+def may_touch_rows(world: World, q: Array, v: Array, controls: Array, near: Bools) -> None:
+    """Writes to `near` (N,) whether a body may come near a box in a slot: if not, it surely cannot.
+
+    Args:
+        q, v: (N, 3) m and m/s. controls: (N, n, 3) m/s^2, acceleration in each physics step.
+    """
+    step, low, high, at, speed = world.step, np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for i in range(len(q)):
+        w = scene_of(world, i)
+        at[:], speed[:], low[:], high[:] = q[i], v[i], q[i], q[i]
+        for s in range(controls.shape[1]):
+            for k in range(3):
+                speed[k] += controls[i, s, k] * step
+                at[k] += speed[k] * step
+                low[k], high[k] = min(low[k], at[k]), max(high[k], at[k])
+        tree, reach, near[i] = tree_of(world, w), world.radius[w, 0] + FORETOLD, False
+        leaf = next_leaf(tree, -1, low, high, reach)
+        while leaf >= 0 and not near[i]:
+            for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):
+                if is_near(low, high, reach, tree.boxes[tree.members[m]]):
+                    near[i] = True
+                    break
+            leaf = next_leaf(tree, leaf, low, high, reach)
 
 
 @compiled

@@ -70,8 +70,8 @@ def in_one_leaf(boxes: Array) -> Tree:
     low = hulls[..., 0, :].min(axis=-2, initial=np.inf) - ROUNDING
     high = hulls[..., 1, :].max(axis=-2, initial=-np.inf) + ROUNDING
     nodes = np.stack([low, high], axis=-2)[..., None, :, :]
-    members = np.broadcast_to(np.arange(boxes.shape[-3]), boxes.shape[:-2])
-    return Tree(plain(boxes), nodes, np.ascontiguousarray(members))
+    members = np.broadcast_to(np.arange(boxes.shape[-3]), boxes.shape[:-2]).copy()
+    return Tree(plain(boxes), nodes, members)
 
 
 @compiled

@@ -35,6 +35,7 @@ def world_of(bounds, boxes, slot=SLOT):
         v_max=np.array([[V_MAX]]),
         a_max=np.array([[A_MAX]]),
         radius=np.array([[RADIUS]]),
+        unit=np.ones((1, 1)),
         slot=slot,
         step=0.02,
         substeps=round(slot / 0.02),

@@ -19,7 +19,7 @@ from mjcollect.geometry.among_boxes import (
     segment_clear,
 )
 from mjcollect.geometry.boxes import point_box_distance, segment_box_distance
-from mjcollect.geometry.tree import FEW, LEAF, Tree, first_member
+from mjcollect.geometry.tree import FEW, LEAF, Tree, first_member, in_one_leaf
 from mjcollect.geometry.turns import around, turned
 from mjcollect.scene.scene import Scene
 
@@ -145,3 +145,13 @@ def test_slots_in_a_town_are_the_same_to_the_bit_without_the_tree(yawed, observa
     one, without = flown()
     assert (nodes > 1, one) == (True, 1)
     np.testing.assert_array_equal(with_tree, without)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_trees_of_every_origin_are_of_the_type_that_kernels_are_compiled_for(count):
+    """A read-only or strided array would have them compiled anew, in the middle of a flight."""
+    one = in_one_leaf(np.repeat(strewn(0, 2, True)[None], count, axis=0))
+    for tree in (one, Tree.of(strewn(1, 5, False)), Tree.of(strewn(2, 100, True))):
+        for array in tree:
+            assert array.flags.c_contiguous
+            assert array.flags.writeable
