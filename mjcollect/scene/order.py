@@ -61,7 +61,7 @@ def plan_order(
     cost = distances(scene) if cost is None else _checked(cost, count)
     if method == "exact":
         return _directed(held_karp(cost)[1])
-    return _directed(_lkh(cost))
+    return _directed(lkh_order(cost))
 
 
 def order_label(method: str) -> str:
@@ -121,7 +121,15 @@ def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
     return float(np.min(closed)), tuple(reversed(order))
 
 
-def _lkh(cost: Array) -> list[int]:
+def lkh_order(cost: Array) -> list[int]:
+    """Returns the K items (0-based) in the order of LKH's tour.
+
+    Args:
+        cost: (K+1, K+1), symmetric; node 0 is the depot.
+
+    Raises:
+        TourError: elkai is not installed.
+    """
     count = len(cost) - 1
     if count < 3:  # every order is a shortest one; elkai refuses fewer than three nodes
         return list(range(count))
