@@ -9,7 +9,7 @@ from mjcollect.geometry.boxes import segment_box_distance
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
-from mjcollect.verify import Violation, _clearance, verify
+from mjcollect.verify import Violation, _clearance, main, verify
 
 STEP, SLOT_ROWS = 0.02, 10
 ITEMS = [[300.0, 0, 0], [300, 400, 0], [0, 400, 300]]
@@ -387,3 +387,18 @@ def test_the_boxes_of_the_scene_count_unless_others_are_named():
     with_box = scene(obstacles=[], moving=[mover(0.3)])
     assert kinds(verify(with_box, mission(), ORDER)) == {"contact"}
     assert verify(with_box, mission(), ORDER, moving=[]) == []
+
+
+def test_the_command_judges_a_run_folder(tmp_path, capsys):
+    scene().save(tmp_path / "scene.json")
+    (tmp_path / "mission.json").write_text(json.dumps({"order": list(ORDER)}))
+    mission().save(tmp_path / "trajectory.csv")
+    assert main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out == "no rule is broken\n"
+    mission((0, 2, 1)).save(tmp_path / "trajectory.csv")
+    assert main([str(tmp_path)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("order: 2 at ")
+    assert said[-1] == f"{len(said) - 1} rules broken"
+    assert main([str(tmp_path / "nowhere")]) == 2
+    assert "nowhere: holds no finished run" in capsys.readouterr().err

@@ -18,19 +18,24 @@ NESTING = {"MultiSurface": 0, "CompositeSurface": 0, "Solid": 1, "MultiSolid": 2
 FLAT = 1e-6  # m²; a surface whose footprint is smaller stands upright
 
 
-def outlines(document: dict[str, Any]) -> Iterator[tuple[str, Any, float] | None]:
+def outlines(document: dict[str, Any]) -> Iterator[tuple[str, Any, float | None] | None]:
     """Yields name, outline in degrees and height in m of buildings, None for other city objects.
 
     The outline is that of all surfaces as seen from above; the height is from the lowest point to
-    the highest, since terrain is flat. Of several levels of detail the least is taken.
+    the highest, since terrain is flat, and None for a flat one. Of several levels of detail the
+    least is taken.
 
     Raises:
         SceneError: the document is no such city; the message names what is wrong with it.
     """
     turn = _to_degrees(document)
     vertices = _vertices(document)
-    for name, thing in document.get("CityObjects", {}).items():
-        shapes = thing.get("geometry", []) if isinstance(thing, dict) else []
+    objects = document.get("CityObjects")
+    if not isinstance(objects, dict):
+        raise SceneError("map file: CityObjects", objects, "must hold objects by their names")
+    for name, thing in objects.items():
+        shapes = thing.get("geometry") if isinstance(thing, dict) else None
+        shapes = [shape for shape in shapes or [] if isinstance(shape, dict)]
         shapes = [shape for shape in shapes if shape.get("type") in NESTING]
         if not shapes or thing.get("type") not in KINDS:
             yield None
@@ -46,7 +51,7 @@ def outlines(document: dict[str, Any]) -> Iterator[tuple[str, Any, float] | None
         level = [shapely.make_valid(each) for each in seen if each.area > FLAT]
         if level:
             outline = shapely.transform(shapely.union_all(level), turn.transform, interleaved=False)
-            yield name, outline, float(np.ptp(corners[:, 2]))
+            yield name, outline, float(np.ptp(corners[:, 2])) or None
         else:
             yield None
 
@@ -79,7 +84,8 @@ def _to_degrees(document: dict[str, Any]) -> Any:
     except ImportError:
         fix = "needs pyproj to be read; pip install 'mjcollect[geo]'"
         raise SceneError("map file", "CityJSON", fix) from None
-    system = str(document.get("metadata", {}).get("referenceSystem", ""))
+    metadata = document.get("metadata")
+    system = str(metadata.get("referenceSystem", "")) if isinstance(metadata, dict) else ""
     code = re.search(r"EPSG[:/].*?([0-9]+)$", system)
     if code is None:
         fix = "must name an EPSG code, such as https://www.opengis.net/def/crs/EPSG/0/7415"

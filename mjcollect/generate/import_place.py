@@ -78,11 +78,7 @@ def _parser() -> argparse.ArgumentParser:
         usage=argparse.SUPPRESS,  # errors in one line
     )
     add = parser.add_argument
-    add(
-        "file",
-        type=Path,
-        help="Map: GeoJSON, CityJSON or OpenStreetMap (.osm, .pbf).",
-    )
+    add("file", type=Path, help="Map: GeoJSON, CityJSON or OpenStreetMap (.osm, .pbf).")
     add(
         "--center", type=float, nargs=2, required=True, metavar=("LAT", "LON"),
         help="Middle of the square, in degrees; the scene's origin.",

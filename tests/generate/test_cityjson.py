@@ -128,9 +128,31 @@ def boundary_of_text(document):
     document["CityObjects"]["hall"]["geometry"][0]["boundaries"] = [[[["a", "b", "c"]]]]
 
 
+def list_of_objects(document):
+    document["CityObjects"] = [1, 2]
+
+
+def text_for_metadata(document):
+    document["metadata"] = "none"
+
+
+def test_flat_buildings_get_the_height_of_those_without_one(tmp_path, capsys):
+    document = city()
+    for vertex in document["vertices"][:8]:
+        vertex[2] = 3000
+    document["CityObjects"]["hall"]["geometry"].append(None)
+    code, out = imported(document, tmp_path)
+    assert code == 0
+    assert "1 without a height" in capsys.readouterr().out
+    heights = np.diff(Scene.load(out).obstacles, axis=1)[:, 0, 2]
+    assert sorted(heights) == pytest.approx([9, 10, 25])
+
+
 @pytest.mark.parametrize(
     ("spoil", "named"),
     [
+        (list_of_objects, "CityObjects"),
+        (text_for_metadata, "referenceSystem"),
         (without_system, "referenceSystem"),
         (unknown_system, "999999"),
         (missing_corner, "tower"),
