@@ -40,6 +40,8 @@ def assign(cost: Array, uavs: int, *, seed: int = 0) -> Tours:
     count = len(cost) - 1
     if count <= MAX_EXACT:
         tours = exact_assignment(cost, uavs)
+    elif uavs == 1:
+        tours = [tuple(lkh_order(cost))]
     else:
         tours = search_assignment(cost, uavs, seed=seed)
     tours += [()] * (uavs - len(tours))
