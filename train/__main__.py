@@ -10,6 +10,7 @@ PROGRAMS = {
     "mission": "train.mission",
     "fly": "train.fly",
     "generalist": "train.generalist",
+    "assign": "train.assign",
     "reproduce": "train.reproduce",
     "scene": "mjcollect.scene.__main__",
     "generate": "mjcollect.generate.__main__",
