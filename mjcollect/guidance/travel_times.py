@@ -7,11 +7,10 @@ import numpy as np
 from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length, tighten
-from mjcollect.guidance.aim import feasible_aim
+from mjcollect.guidance.aim import feasible_aim, place
 from mjcollect.guidance.distance_field import DistanceField, way_down
 from mjcollect.guidance.guidance import COARSE, Guidance
 from mjcollect.scene.bounds import leg_time
-from mjcollect.scene.order import distances
 from mjcollect.scene.scene import Scene
 
 
@@ -26,8 +25,8 @@ def travel_times(scene: Scene) -> Array:
         GuidanceError: the finest grid does not join two nodes.
     """
     nodes = [-1, *range(len(scene.items))]
-    points = np.array([scene.point(node) for node in nodes])
-    length = distances(scene)
+    points = np.array([place(scene, node) for node in nodes])  # items may be too near to a wall
+    length = np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
     clear = segment_clear(points[:, None], points[None], scene.tree, scene.reach)
     for to in range(1, len(nodes)):
         blocked = np.flatnonzero(~clear[:to, to])
