@@ -81,18 +81,18 @@ class Simulations:
         scenes = {id(course.scene): course.scene for course in courses}
         alone = len(scenes) == 1  # Then its boxes may sleep: each thread's data is its own.
         models = {key: _compiled(scene, solid, alone) for key, scene in scenes.items()}
-        each = [models[id(self.episodes.course(i).scene)][0] for i in range(count)]
         self._models = [models[id(self.episodes.course(i).scene)] for i in range(count)]
         self._near = np.empty(count, dtype=bool)
-        largest = each[0] if len(models) == 1 else _largest(list(scenes.values()))
+        first = self._models[0][0]
+        largest = first if len(models) == 1 else _largest(list(scenes.values()))
         self._data = [mujoco.MjData(largest) for _ in range(threads)]
         # MuJoCo's nthread=0 steps in the calling thread.
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._n = self.episodes.world.substeps
-        self.state = np.zeros((count, mujoco.mj_stateSize(each[0], STATE)))
+        self.state = np.zeros((count, mujoco.mj_stateSize(first, STATE)))
         self._control = np.empty((count, self._n, 3))
         self._states = np.empty((count, self._n, self.state.shape[1]))
-        self._sensors = np.empty((count, self._n, each[0].nsensordata))
+        self._sensors = np.empty((count, self._n, first.nsensordata))
 
     def close(self) -> None:
         """Stops the threads."""

@@ -12,6 +12,7 @@ from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
 from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
+from mjcollect.geometry.vectors import hull
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
 FORETOLD = 1e-3  # metres by which a slot's path may differ from what is foretold of it, far more
@@ -45,10 +46,8 @@ class Slot:
 def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
     """Adds to `touch` (n,) the pieces of a path (n + 1, 3) that come within the radius of a box."""
     radius, tree = world.radius[w, 0], tree_of(world, w)
-    low, high = path[0].copy(), path[0].copy()
-    for s in range(1, len(path)):
-        for k in range(3):
-            low[k], high[k] = min(low[k], path[s, k]), max(high[k], path[s, k])
+    low, high = np.empty(3), np.empty(3)
+    hull(path, len(path), low, high)
     leaf = next_leaf(tree, -1, low, high, radius)
     while leaf >= 0:
         for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):

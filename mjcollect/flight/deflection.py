@@ -17,7 +17,7 @@ from mjcollect.flight.world import World, tree_of
 from mjcollect.geometry.boxes import FAR, box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, compiled
 from mjcollect.geometry.tree import first_member, next_leaf
-from mjcollect.geometry.vectors import dot, into_ball, norm, unit
+from mjcollect.geometry.vectors import dot, hull, into_ball, norm, unit
 
 SURE = 0.8  # The part towards an obstacle is cut to this share of what braking would allow.
 TIMES = 2  # A command is deflected at so many obstacles, one after the other.
@@ -112,10 +112,8 @@ def nearest_ahead(
         gap = -inner[first]
         for k in range(3):
             gap += max(away[k] * (bounds[1, k] - here[k]), away[k] * (bounds[0, k] - here[k]))
-    low, high, most = here.copy(), here.copy(), reach[:count].max()
-    for p in range(1, count):
-        for k in range(3):
-            low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
+    low, high, most = np.empty(3), np.empty(3), reach[:count].max()
+    hull(path, count, low, high)
     leaf = next_leaf(tree, -1, low, high, most)
     while leaf >= 0:
         for m in range(first_member(tree, leaf), first_member(tree, leaf + 1)):

@@ -31,7 +31,7 @@ from mjcollect.geometry.boxes import box_offset, segment_gap
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
-from mjcollect.geometry.vectors import norm
+from mjcollect.geometry.vectors import hull, norm
 
 CHANCE = 0.05  # A body that flies a backup to its end strays beyond the margin this often.
 LAG = 0.8  # s; a gust is answered so late that it moves the body by spread * LAG * time.
@@ -139,11 +139,9 @@ def room_row(
     tree, radius, room = tree_of(world, w), world.radius[w, 0], 1.0
     spread, blur = margins.spread[i, 0] * LAG, margins.blur[i, 0]
     stopped = count - len(RESTS)  # At rest it is held where it is: the margin grows no more.
-    low, high, offset = path[0].copy(), path[0].copy(), np.empty(3)
+    low, high, offset = np.empty(3), np.empty(3), np.empty(3)
     begin, end = np.empty(3), np.empty(3)
-    for p in range(1, count):
-        for k in range(3):
-            low[k], high[k] = min(low[k], path[p, k]), max(high[k], path[p, k])
+    hull(path, count, low, high)
     most = max(blur + spread * times[stopped - 1], SAG)
     for p in range(1, stopped):
         margin = max(blur + spread * times[p], SAG)

@@ -61,7 +61,8 @@ class World(NamedTuple):
             own = with_turn(scene.boxes) if turn else scene.boxes
             boxes[index, : len(scene.obstacles)] = own
             if id(scene) not in trees:
-                trees[id(scene)] = Tree.of(boxes[index])
+                whole = scene.boxes.shape == boxes[index].shape  # neither padded nor widened
+                trees[id(scene)] = scene.tree if whole else Tree.of(boxes[index])
         tree = [trees[id(scene)] for scene in scenes]
 
         def column(field: str) -> Array:

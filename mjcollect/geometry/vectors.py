@@ -49,3 +49,12 @@ def from_ball(normal: Array, share: float, vector: Array) -> None:
 def lerp(a: float, b: float, share: float) -> float:
     """Returns the value that lies `share` of the way from `a` to `b`."""
     return a + share * (b - a)
+
+
+@compiled
+def hull(points: Array, count: int, low: Array, high: Array) -> None:
+    """Writes the least and greatest coordinates (3,) of the first `count` points (..., 3)."""
+    low[:], high[:] = points[0], points[0]
+    for p in range(1, count):
+        for k in range(3):
+            low[k], high[k] = min(low[k], points[p, k]), max(high[k], points[p, k])

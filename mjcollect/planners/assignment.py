@@ -12,8 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mjcollect.geometry.compiled import Array, Indices, compiled, plain
-from mjcollect.scene.order import MAX_EXACT, TourError, lkh_order
+from mjcollect.geometry.compiled import Array, Indices, compiled
+from mjcollect.scene.order import MAX_EXACT, TourError, lkh_order, way_back, ways_through
 
 FINE = 1e-3  # The bisection ends when the time is known to this share.
 ITERATIONS = 400  # A search for tours within a time ends after so many iterations of PyVRP.
@@ -71,37 +71,18 @@ def exact_assignment(cost: Array, uavs: int) -> list[tuple[int, ...]]:
     count = len(cost) - 1
     if count > MAX_EXACT:
         raise TourError(f"uavs: {count} items: all sharings are tried up to {MAX_EXACT} items only")
-    best, last = np.empty((1 << count, count)), np.empty((1 << count, count), dtype=np.intp)
-    tour_of_sets(plain(cost), best, last)
-    closed = (best + cost[1:, 0]).min(axis=1)
-    closed[0] = 0.0
+    best, before = ways_through(cost)
+    closed = best + cost[1:, 0]
+    times = closed.min(axis=1)
+    times[0] = 0.0
     share = np.empty((uavs, 1 << count), dtype=np.intp)
-    share_sets(closed, share)
+    share_sets(times, share)
     tours, left = [], (1 << count) - 1
     for uav in range(uavs - 1, -1, -1):
         mine = int(share[uav, left])
-        tours.append(_walk(cost, best, last, mine))
+        tours.append(way_back(before, mine, int(closed[mine].argmin())))
         left ^= mine
     return tours
-
-
-@compiled
-def tour_of_sets(cost: Array, best: Array, last: Indices) -> None:
-    """Writes the least time (2^K, K) through each set that ends at an item, and the item before."""
-    count = best.shape[1]
-    for items in range(best.shape[0]):
-        for end in range(count):
-            best[items, end], last[items, end] = np.inf, -1
-            if not items >> end & 1:
-                continue
-            before = items ^ (1 << end)
-            if before == 0:
-                best[items, end] = cost[0, end + 1]
-            for item in range(count):
-                if before >> item & 1:
-                    time = best[before, item] + cost[item + 1, end + 1]
-                    if time < best[items, end]:
-                        best[items, end], last[items, end] = time, item
 
 
 @compiled
@@ -126,17 +107,6 @@ def share_sets(closed: Array, share: Indices) -> None:
                 if part == 0:
                     break
                 part = (part - 1) & items
-
-
-def _walk(cost: Array, best: Array, last: Indices, items: int) -> tuple[int, ...]:
-    """Returns the order of the least tour through a set of items."""
-    if items == 0:
-        return ()
-    item, order = int(np.argmin(best[items] + cost[1:, 0])), list[int]()
-    while item >= 0:
-        order.append(item)
-        item, items = int(last[items, item]), items ^ (1 << item)
-    return tuple(reversed(order))
 
 
 # A time that all tours keep, bisected

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mjcollect.geometry.compiled import Array, compiled, plain
+from mjcollect.geometry.compiled import Array
 from mjcollect.planners.assignment import exact_assignment, makespan
-from mjcollect.scene.bounds import EXACT, leg_bounds
+from mjcollect.scene.bounds import EXACT, leg_bounds, spanning_tree
 from mjcollect.scene.order import MAX_EXACT
 from mjcollect.scene.scene import Scene
 
@@ -40,12 +40,12 @@ def tours_bound(cost: Array, count: int) -> float:
     legs, with the n cheapest ways out and home, costs no more. As in `bounds.mission_bound` a price
     on every end of a leg at an item, refunded twice, changes no tours' cost.
     """
-    out, home, between = cost[0, 1:], cost[1:, 0], plain(cost[1:, 1:])
+    out, home, between = cost[0, 1:], cost[1:, 0], cost[1:, 1:]
     items = len(between)
-    price, best, degree = np.zeros(items), 0.0, np.empty(items)
+    price, best = np.zeros(items), 0.0
     stride = _STEP * float(cost.mean())
     for step in range(_ROUNDS):
-        forest = spanning_forest(between + price[:, None] + price, count, degree)
+        forest, degree = spanning_forest(between + price[:, None] + price, count)
         ways = 0.0
         for leg in (out + price, home + price):
             first = np.argsort(leg, kind="stable")[:count]
@@ -56,29 +56,12 @@ def tours_bound(cost: Array, count: int) -> float:
     return best
 
 
-@compiled
-def spanning_forest(weight: Array, parts: int, degree: Array) -> float:
-    """Returns the least weight of a forest of `parts` trees; writes the `degree` (K,) of nodes.
+def spanning_forest(weight: Array, parts: int) -> tuple[float, Array]:
+    """Returns the least weight of a forest of `parts` trees, and the degree (K,) of every node.
 
-    It is the least spanning tree (Prim) without its `parts` - 1 heaviest edges.
+    It is the least spanning tree without its `parts` - 1 heaviest edges.
     """
-    count = len(weight)
-    nearest, link, outside = weight[0].copy(), np.zeros(count, np.int64), np.ones(count)
-    outside[0], degree[:] = 0.0, 0.0
-    edges, ends = np.empty(count - 1), np.empty((count - 1, 2), np.int64)
-    for edge in range(count - 1):
-        node = -1
-        for other in range(count):
-            if outside[other] > 0.0 and (node < 0 or nearest[other] < nearest[node]):
-                node = other
-        edges[edge], ends[edge, 0], ends[edge, 1] = nearest[node], node, link[node]
-        outside[node] = 0.0
-        for other in range(count):
-            if outside[other] > 0.0 and weight[node, other] < nearest[other]:
-                nearest[other], link[other] = weight[node, other], node
-    total, order = 0.0, np.argsort(edges)
-    for k in range(count - parts):
-        total += edges[order[k]]
-        degree[ends[order[k], 0]] += 1.0
-        degree[ends[order[k], 1]] += 1.0
-    return total
+    edges, ends = spanning_tree(weight)
+    kept = np.argsort(edges, kind="stable")[: len(weight) - parts]
+    degree = np.bincount(ends[kept].ravel(), minlength=len(weight)).astype(float)
+    return float(edges[kept].sum()), degree

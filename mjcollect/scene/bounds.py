@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.compiled import Array, Indices
 from mjcollect.scene.order import DEPOT, MAX_EXACT, distances, held_karp
 from mjcollect.scene.scene import Scene
 
@@ -75,13 +75,14 @@ def _one_tree(cost: Array) -> float:
     price, step, best, stale = np.zeros(count), 1.0, -np.inf, 0
     target = _nearest_neighbour_tour(cost)
     for _ in range(_ROUNDS):
-        tree, degree = _spanning_tree(between + price[:, None] + price)
+        legs, ends = spanning_tree(between + price[:, None] + price)
+        degree = np.bincount(ends.ravel(), minlength=count)
         pair = (out + price)[:, None] + (home + price)
         np.fill_diagonal(pair, np.inf)
         first, last = np.unravel_index(np.argmin(pair), pair.shape)
         degree[first] += 1
         degree[last] += 1
-        bound = tree + float(pair[first, last]) - 2 * float(np.sum(price))
+        bound = sum(legs.tolist()) + float(pair[first, last]) - 2 * float(np.sum(price))
         if bound > best:
             best, stale = bound, 0
         else:
@@ -95,26 +96,23 @@ def _one_tree(cost: Array) -> float:
     return max(0.0, best * (1 - _MARGIN) - _MARGIN)
 
 
-def _spanning_tree(weight: Array) -> tuple[float, Array]:
-    """Returns the weight of the least spanning tree (Prim) and the degree (K,) of every node."""
+def spanning_tree(weight: Array) -> tuple[Array, Indices]:
+    """Returns weights (K - 1,) and ends (K - 1, 2) of the least spanning tree's edges (Prim)."""
     count = len(weight)
-    degree = np.zeros(count)
+    edges, ends = np.empty(count - 1), np.empty((count - 1, 2), dtype=np.intp)
     nearest, link = weight[0].copy(), np.zeros(count, dtype=np.int64)
     nearest[0] = np.inf
     outside = np.ones(count, dtype=bool)
     outside[0] = False
-    total = 0.0
-    for _ in range(count - 1):
+    for edge in range(count - 1):
         node = int(np.argmin(nearest))
-        total += float(nearest[node])
-        degree[node] += 1
-        degree[link[node]] += 1
+        edges[edge], ends[edge] = nearest[node], (node, link[node])
         outside[node] = False
         nearest[node] = np.inf
         closer = outside & (weight[node] < nearest)
         nearest[closer] = weight[node, closer]
         link[closer] = node
-    return total, degree
+    return edges, ends
 
 
 def _nearest_neighbour_tour(cost: Array) -> float:

@@ -12,7 +12,7 @@ from typing import TypedDict
 import numpy as np
 
 from mjcollect.geometry.among_boxes import segment_clear
-from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.compiled import Array, Indices
 from mjcollect.scene.scene import Scene
 
 ORDER_METHODS = ("lkh", "exact", "random", "given")
@@ -103,9 +103,21 @@ def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
         raise TourError(
             f"order exact: {count} items: takes at most {MAX_EXACT}; use --order lkh or given"
         )
+    best, before = ways_through(cost)
+    closed = best[-1] + cost[1:, 0]
+    return float(np.min(closed)), way_back(before, (1 << count) - 1, int(np.argmin(closed)))
+
+
+def ways_through(cost: Array) -> tuple[Array, Indices]:
+    """Returns the cheapest ways from the depot through each set of items, (2^K, K) for each end.
+
+    A set has bit k if item k is in it. With the costs come the items before the last ones, for
+    `way_back`; `cost` is as in `held_karp`.
+    """
+    count = len(cost) - 1
     between, bits = cost[1:, 1:], 1 << np.arange(count)
-    best = np.full((1 << count, count), np.inf)  # [visited, last]: cheapest way from the depot
-    before = np.zeros((1 << count, count), dtype=np.int64)
+    best = np.full((1 << count, count), np.inf)
+    before = np.zeros((1 << count, count), dtype=np.intp)
     best[bits, np.arange(count)] = cost[0, 1:]
     for visited in range(1, (1 << count) - 1):
         free = np.flatnonzero(visited & bits == 0)
@@ -113,12 +125,16 @@ def held_karp(cost: Array) -> tuple[float, tuple[int, ...]]:
         last = np.argmin(ways, axis=0)
         best[visited | bits[free], free] = ways[last, np.arange(len(free))]
         before[visited | bits[free], free] = last
-    closed = best[-1] + cost[1:, 0]
-    visited, last_item, order = (1 << count) - 1, int(np.argmin(closed)), []
+    return best, before
+
+
+def way_back(before: Indices, visited: int, last: int) -> tuple[int, ...]:
+    """Returns the order of the cheapest way through a set of items to the `last` of them."""
+    order = []
     while visited:
-        order.append(last_item)
-        visited, last_item = visited ^ (1 << last_item), int(before[visited, last_item])
-    return float(np.min(closed)), tuple(reversed(order))
+        order.append(last)
+        visited, last = visited ^ (1 << last), int(before[visited, last])
+    return tuple(reversed(order))
 
 
 def lkh_order(cost: Array) -> list[int]:
