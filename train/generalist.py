@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from mjcollect.envs.batch import Fleet, Simulations
+from mjcollect.envs.batch import Batch, Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.observation import SHOW_DISTURBANCES
 from mjcollect.flight.disturbance import Disturbance, Disturbances
@@ -149,7 +149,7 @@ class Generalist:
             )  # fmt: skip
         self.trainer = Trainer(simulations, evaluator, config, seed, args.device, weights, lessons)
 
-    def _simulations(self) -> Fleet:
+    def _simulations(self) -> Batch:
         """Returns simulations on this rotation's segments, more of those that fail."""
         chance = 1.0 + (HARDER - 1.0) * self.failed
         parts = range(max(self.args.shards, 1))

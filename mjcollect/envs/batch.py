@@ -33,7 +33,7 @@ STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 FLAGS = ("done", "terminated", "truncated", "success", "crashed", "shielded")
 
 
-class Fleet(Protocol):
+class Batch(Protocol):
     """Lists what N simulations can do, in this process or in others; `Simulations` explains it."""
 
     count: int
@@ -65,34 +65,40 @@ class Simulations:
         rng: np.random.Generator | None = None,
         threads: int = 2,
         disturbances: Disturbances | None = None,
+        uavs: int = 1,
     ) -> None:
         """Compiles one model per distinct scene and prepares the threads.
 
         Args:
             courses: one course for all simulations, or one each. count: N.
+            uavs: M, the number of UAVs in each MuJoCo simulation, whose flights follow each other
+                among the N; there are N / M simulations then.
             rules: observation, reward and shield. start: kind of start states; rng: draws them.
             threads: number of MuJoCo's threads. disturbances: those of these simulations, if any.
         """
         rules = rules or Rules()
-        self.count, self.start = count, start
+        if count % uavs:
+            raise ValueError(f"count: {count}: must be a multiple of uavs: {uavs}")
+        self.count, self.start, self.uavs = count, start, uavs
         self.rng = rng or np.random.default_rng(0)
-        self.episodes = Episodes(courses, count, rules, disturbances)
+        self.episodes = Episodes(courses, count, rules, disturbances, uavs)
         solid = PRESETS[rules.reward].crash_ends
-        scenes = {id(course.scene): course.scene for course in courses}
+        worlds = range(0, count, uavs)  # the first flight of each simulation
+        firsts = [self.episodes.course(i).scene for i in worlds]
+        scenes = {id(scene): scene for scene in firsts}
         alone = len(scenes) == 1  # Then its boxes may sleep: each thread's data is its own.
-        models = {key: _compiled(scene, solid, alone) for key, scene in scenes.items()}
-        self._models = [models[id(self.episodes.course(i).scene)] for i in range(count)]
+        models = {key: _compiled(scene, solid, alone, uavs) for key, scene in scenes.items()}
+        self._models = [models[id(scene)] for scene in firsts]
         self._near = np.empty(count, dtype=bool)
         first = self._models[0][0]
-        largest = first if len(models) == 1 else _largest(list(scenes.values()))
+        largest = first if len(models) == 1 else _largest(list(scenes.values()), uavs)
         self._data = [mujoco.MjData(largest) for _ in range(threads)]
         # MuJoCo's nthread=0 steps in the calling thread.
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)
         self._n = self.episodes.world.substeps
-        self.state = np.zeros((count, mujoco.mj_stateSize(first, STATE)))
-        self._control = np.empty((count, self._n, 3))
-        self._states = np.empty((count, self._n, self.state.shape[1]))
-        self._sensors = np.empty((count, self._n, first.nsensordata))
+        self.state = np.zeros((len(firsts), mujoco.mj_stateSize(first, STATE)))
+        self._states = np.empty((len(firsts), self._n, self.state.shape[1]))
+        self._sensors = np.empty((len(firsts), self._n, first.nsensordata))
 
     def close(self) -> None:
         """Stops the threads."""
@@ -114,8 +120,11 @@ class Simulations:
 
     def place(self, which: Indices, q: Array, v: Array) -> None:
         """Begins episodes at q, v (n, 3) in m and m/s in the simulations `which` (n,)."""
-        self.state[which] = 0.0
-        self.state[which, 1:4], self.state[which, 4:7] = q, v
+        world, first = which // self.uavs, 1 + 3 * (which % self.uavs)
+        self.state[world, 0] = 0.0  # the time
+        for k in range(3):
+            self.state[world, first + k] = q[:, k]
+            self.state[world, first + k + 3 * self.uavs] = v[:, k]
         self.episodes.reset(which, q, v)
 
     def step(self, action: Array) -> Outcome:
@@ -125,7 +134,7 @@ class Simulations:
         if disturbances is not None:
             flown = disturbances.controls(self.episodes.world, self.acceleration)
         self.roll(flown)
-        return self.episodes.end_slot(self.path, self.state[:, 4:7], self._sensors[:, :, 0] > 0)
+        return self.episodes.end_slot(self.path, self._flights(self.state, 1), self._sensed())
 
     def law(self) -> Array:
         """Returns the actions (N, 3) of the guidance law in units of a_max."""
@@ -160,15 +169,19 @@ class Simulations:
         Args:
             acceleration: (N, 3) in m/s^2, held for the slot, or (N, n, 3), one per physics step.
         """
-        self._control[:] = acceleration if acceleration.ndim == 3 else acceleration[:, None]
-        q, v = plain(self.state[:, 1:4]), plain(self.state[:, 4:7])
-        may_touch_rows(self.episodes.world, q, v, self._control, self._near)
-        near = self._near.tolist()
+        each = acceleration if acceleration.ndim == 3 else acceleration[:, None]
+        control = plain(np.broadcast_to(each, (self.count, self._n, 3)))
+        q, v = plain(self._flights(self.state, 0)), plain(self._flights(self.state, 1))
+        may_touch_rows(self.episodes.world, self.uavs, q, v, control, self._near)
+        near = self._near.reshape(-1, self.uavs).any(axis=1).tolist()
+        if self.uavs > 1:
+            whole = control.reshape(-1, self.uavs, self._n, 3).swapaxes(1, 2)
+            control = plain(whole).reshape(-1, self._n, 3 * self.uavs)
         self._rollout.rollout(
             [pair[not looks] for pair, looks in zip(self._models, near, strict=True)],
             self._data,
             self.state,
-            self._control,
+            control,
             skip_checks=True,
             nstep=self._n,
             state=self._states,
@@ -179,12 +192,29 @@ class Simulations:
     @property
     def path(self) -> Array:
         """Returns the positions (N, n, 3) in m after the last slot's physics steps."""
-        return self._states[:, :, 1:4]
+        return self._flights(self._states, 0)
 
     @property
     def speeds(self) -> Array:
         """Returns the velocities (N, n, 3) in m/s after the last slot's physics steps."""
-        return self._states[:, :, 4:7]
+        return self._flights(self._states, 1)
+
+    def _flights(self, states: Array, part: int) -> Array:
+        """Returns the rows (N, ..., 3) of the flights in MuJoCo's states (N / M, ..., S).
+
+        Part 0 is their positions, part 1 their velocities.
+        """
+        width = 3 * self.uavs
+        found = states[..., 1 + part * width : 1 + (part + 1) * width]
+        if self.uavs == 1:
+            return found
+        found = np.moveaxis(found.reshape(*found.shape[:-1], self.uavs, 3), -2, 1)
+        return found.reshape(self.count, *found.shape[2:])
+
+    def _sensed(self) -> Bools:
+        """Returns whether each contact sensor (N, n) fired in each physics step."""
+        fired = self._sensors > 0  # (N / M, n, M), one sensor each
+        return np.asarray(fired.swapaxes(1, 2).reshape(self.count, self._n))
 
     def observe(self, chosen: Indices | None = None) -> Array:
         """Returns the flat observation (N, D): the parts of `Episodes.observe` in their order.
@@ -195,12 +225,14 @@ class Simulations:
 
 
 @lru_cache(maxsize=4)
-def _compiled(scene: Scene, solid: bool, alone: bool) -> tuple[mujoco.MjModel, mujoco.MjModel]:
+def _compiled(
+    scene: Scene, solid: bool, alone: bool, uavs: int
+) -> tuple[mujoco.MjModel, mujoco.MjModel]:
     """Returns the scene's model, and the same without contacts.
 
     Training and evaluation share them: do not change them.
     """
-    model = compile_model(scene, solid=solid)
+    model = compile_model(scene, solid=solid, uavs=uavs)
     if alone:
         let_boxes_sleep(model)
     other = copy.copy(model)
@@ -208,9 +240,9 @@ def _compiled(scene: Scene, solid: bool, alone: bool) -> tuple[mujoco.MjModel, m
     return model, other
 
 
-def _largest(scenes: Sequence[Scene]) -> mujoco.MjModel:
+def _largest(scenes: Sequence[Scene], uavs: int) -> mujoco.MjModel:
     """Returns a model whose MjData can hold any scene's: `Rollout` writes past a smaller one."""
-    root = build(max(scenes, key=lambda scene: len(scene.obstacles)))
+    root = build(max(scenes, key=lambda scene: len(scene.obstacles)), uavs=uavs)
     for index in range(max(len(scene.items) for scene in scenes)):
         root.worldbody.add("site", name=f"room_{index}")
     return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
@@ -223,7 +255,7 @@ class BatchedFlightEnv(EnvBase):
     `success`, `crashed` and `shielded` (the shield changed the command), Boolean (N, 1).
     """
 
-    def __init__(self, simulations: Fleet, device: str = "cpu") -> None:
+    def __init__(self, simulations: Batch, device: str = "cpu") -> None:
         """Wraps `simulations`; tensors are returned on `device`."""
         n = simulations.count
         super().__init__(device=device, batch_size=torch.Size([n]))

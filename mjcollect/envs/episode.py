@@ -29,6 +29,7 @@ from mjcollect.flight.disturbance import REST_SPEED, Disturbances
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.disturbed_shield import Margins, disturbed_shield
 from mjcollect.flight.moving_boxes import SHOWN, SOON, STEPS
+from mjcollect.flight.separation import too_near
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
@@ -47,6 +48,7 @@ SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "held",
     "left",
     "asked",
+    "home",
 )
 ESTIMATES = ("flight", "truth", "none")
 GAMMA = 0.99  # The default discount factor per slot of an environment.
@@ -95,7 +97,7 @@ class Outcome:
         truncated: whether the step limit ended the episode.
         success: whether the course was finished. shielded: whether the shield changed the command.
         room: share of its margin that the shield kept, 1 in calm air.
-        struck: whether the body touched a moving box.
+        struck: whether the body touched a moving box, or came too near to a UAV of its fleet.
     """
 
     reward: Array
@@ -117,6 +119,7 @@ class Episodes:
         seen_world: the world as decisions see it, with the a_max to count on and moving boxes last.
         known: what is known of disturbances. sums: what it is made of, if it is of the flight.
         collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
+        home: (N,) whether it has finished, and waits for the others of its fleet.
         held, left, asked: (N, 3), (N,), (N,) the shield's state. room: (N,) share of its margin
             that it kept. approach: how each stands towards its target.
     """
@@ -127,12 +130,20 @@ class Episodes:
         count: int,
         rules: Rules,
         disturbances: Disturbances | None = None,
+        uavs: int = 1,
     ) -> None:
         """Prepares `count` episodes, on one course or one each.
+
+        Args:
+            uavs: M, so many episodes that follow each other are those of one fleet. Their courses
+                are given once for all fleets, or for each.
 
         Raises:
             ValueError: the number of courses is neither 1 nor `count`.
         """
+        self.uavs = uavs
+        if 1 < len(courses) == uavs:
+            courses = list(courses) * (count // uavs)
         self.targets = Targets(courses, count)
         self.count, self.rules, self.disturbances = count, rules, disturbances
         self._observation, self._preset = OBSERVATIONS[rules.observation], PRESETS[rules.reward]
@@ -141,7 +152,7 @@ class Episodes:
         scenes = [course.scene for course in courses]
         if disturbances is not None:  # Each episode has a world of its own.
             scenes = [self.course(index).scene for index in range(count)]
-        elif all(scene is scenes[0] for scene in scenes):
+        elif all(scene.tree is scenes[0].tree for scene in scenes):  # They differ in items only.
             scenes = scenes[:1]
         self.world = World.stack(scenes)
         self.truth, self.observed, self.v = (np.zeros((count, 3)) for _ in range(3))
@@ -149,7 +160,9 @@ class Episodes:
         self._movers = np.zeros((count, SHOWN, 2 + len(SOON), 3))
         self.target, self.collected = self.targets.first.copy(), self.targets.before.copy()
         self.steps = np.zeros(count, dtype=np.int64)
-        self.crashed, self.shielded, self._stop = (np.zeros(count, dtype=bool) for _ in range(3))
+        self.crashed, self.shielded, self._stop, self.home = (
+            np.zeros(count, dtype=bool) for _ in range(4)
+        )
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
         self.asked, self.room = np.ones(count), np.ones(count)
         self._all = np.arange(count)
@@ -180,7 +193,7 @@ class Episodes:
             air.begin(self.sums, which, self.observed[which])
         self.collected[which] = self.targets.before[which]
         self.steps[which] = 0
-        self.crashed[which] = False
+        self.crashed[which] = self.home[which] = False
         self.left[which], self.asked[which] = 0, 1.0
         self._update_estimates()
         self._update_approach(self.approach, which)
@@ -215,7 +228,7 @@ class Episodes:
                 )  # fmt: skip
             a = known.counter(a, a_max)
         elif self.rules.shield:
-            shield(world, q, v, a, self._stop, self.held, self.left, self.shielded)
+            shield(world, q, v, a, self._stop, self.held, self.left, self.shielded, self.uavs)
         return a
 
     def _margins(self) -> Margins:
@@ -237,6 +250,9 @@ class Episodes:
             whole = np.concatenate([self.truth[:, None], path], axis=1)
             struck = self.disturbances.movers.touched(self.world, whole)
             self.disturbances.movers.move(self.world.slot)
+        if self.uavs > 1:
+            whole = np.concatenate([self.truth[:, None], path], axis=1)
+            struck = struck | too_near(self.world, self.uavs, whole)
         slot = judge(self.world, self.truth, path, sensed | struck, self._stop, margin)
         before, old_v = self.approach, self.v
         self.truth, self.v = path[:, -1].copy(), v.copy()
@@ -258,6 +274,9 @@ class Episodes:
         self.crashed |= slot.crashed
         self.steps += 1
         success = slot.arrived & (self.target == self.targets.last)
+        if self.uavs > 1:
+            reward = np.where(self.home, 0.0, reward)
+            self.home |= success
         node = self.targets.node[self.target]
         taken = np.flatnonzero(slot.arrived & (node >= 0))
         self.collected[taken, node[taken]] = True

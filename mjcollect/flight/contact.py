@@ -12,7 +12,7 @@ from mjcollect.geometry.boxes import segment_gap
 from mjcollect.geometry.compiled import Array, Bools, compiled, plain
 from mjcollect.geometry.tree import first_member, next_leaf
 from mjcollect.geometry.turns import is_near
-from mjcollect.geometry.vectors import hull
+from mjcollect.geometry.vectors import hull, norm
 
 BOUNDS_TOLERANCE = 1e-6  # metres beyond the bounds that still count as inside
 FORETOLD = 1e-3  # metres by which a slot's path may differ from what is foretold of it, far more
@@ -59,10 +59,13 @@ def sweep(world: World, w: int, path: Array, touch: Bools) -> None:
 
 
 @compiled
-def may_touch_rows(world: World, q: Array, v: Array, controls: Array, near: Bools) -> None:
+def may_touch_rows(
+    world: World, uavs: int, q: Array, v: Array, controls: Array, near: Bools
+) -> None:
     """Writes to `near` (N,) whether a body may come near a box in a slot: if not, it surely cannot.
 
     Args:
+        uavs: number of UAVs in a fleet, whose bodies may also come near each other.
         q, v: (N, 3) m and m/s. controls: (N, n, 3) m/s^2, acceleration in each physics step.
     """
     step, low, high, at, speed = world.step, np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -82,6 +85,11 @@ def may_touch_rows(world: World, q: Array, v: Array, controls: Array, near: Bool
                     near[i] = True
                     break
             leaf = next_leaf(tree, leaf, low, high, reach)
+        for j in range(i - i % uavs, i):
+            for k in range(3):
+                at[k] = q[j, k] - q[i, k]
+            met = (norm(v[i]) + norm(v[j]) + 2 * world.a_max[w, 0] * world.slot) * world.slot
+            near[i] = near[i] or norm(at) < met + 2 * reach
 
 
 @compiled

@@ -5,7 +5,8 @@ braking in a straight line. A command is allowed if some backup is free after it
 the command is bent towards braking. If nothing bent is allowed either, the backup of the slot
 before is flown, which was free then and still is. So from rest, or from any state whose braking is
 free, no undisturbed flight ever touches a box or leaves the bounds. This is model predictive
-shielding (Bastani 2019; Li and Bastani 2020).
+shielding (Bastani 2019; Li and Bastani 2020). In a fleet a backup is free only if it also keeps
+apart from the backups of all others, see `separation`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,13 @@ import numpy as np
 
 from mjcollect.flight.deflection import TIMES, deflected
 from mjcollect.flight.projection import project_row
+from mjcollect.flight.separation import (
+    aside_row,
+    keeps_apart,
+    longest_plan,
+    plan_row,
+    sides_row,
+)
 from mjcollect.flight.world import World, scene_of, tree_of
 from mjcollect.geometry.boxes import box_offset, segment_gap, slab
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
@@ -109,29 +117,36 @@ def is_free(world: World, w: int, q: Array, v: Array, path: Array, count: int) -
 
 
 @compiled
-def backup_row(world: World, w: int, q: Array, v: Array, a: Array, path: Array) -> int:
+def backup_row(
+    world: World, w: int, q: Array, v: Array, a: Array, path: Array, plans: Array, counts: Indices,
+    me: int,
+) -> int:  # fmt: skip
     """Returns for how many slots a free backup holds `a` after its slot; -1 if none is free."""
     for more in HELD:
         count = roll_row(world, w, q, v, a, more, path)
-        if is_free(world, w, q, v, path, count):
+        if is_free(world, w, q, v, path, count) and keeps_apart(
+            world, w, plans, counts, me, q, v, a, more + 1
+        ):
             return more
     return -1
 
 
 @compiled
 def shield_row(
-    world: World, w: int, q: Array, v: Array, a: Array, held: Array, path: Array, left: int
-) -> tuple[int, bool]:
+    world: World, w: int, q: Array, v: Array, a: Array, held: Array, path: Array, left: int,
+    plans: Array, counts: Indices, me: int,
+) -> tuple[int, bool]:  # fmt: skip
     """Bends the command `a` (3,) until a backup is free after it.
 
     Args:
         held: (3,), the command that the backup so far holds for `left` slots more; written anew.
         path: memory for the points of a backup.
+        plans, counts, me: where the fleet will be, and which of its UAVs this is, see `separation`.
 
     Returns:
         The slots of the new backup, and whether the command was changed.
     """
-    more = backup_row(world, w, q, v, a, path)
+    more = backup_row(world, w, q, v, a, path, plans, counts, me)
     if more >= 0:
         held[:] = a
         return more, False
@@ -144,16 +159,26 @@ def shield_row(
             tried,
         ):  # fmt: skip
             break
-        more = backup_row(world, w, q, v, tried, path)
+        more = backup_row(world, w, q, v, tried, path, plans, counts, me)
         if more >= 0:
             a[:] = tried
             held[:] = a
             return more, True
+    if len(counts) > 1:
+        sides = np.empty((6, 3))
+        if sides_row(world, w, plans, counts, me, q, v, a, sides):
+            for side in range(1, len(sides)):
+                aside_row(world, w, v, a, sides[0], sides[side], tried)
+                more = backup_row(world, w, q, v, tried, path, plans, counts, me)
+                if more >= 0:
+                    a[:] = tried
+                    held[:] = a
+                    return more, True
     braking_row(world, w, v, braking)
     for share in BENT:
         for k in range(3):
             tried[k] = braking[k] + share * (a[k] - braking[k])
-        more = backup_row(world, w, q, v, tried, path)
+        more = backup_row(world, w, q, v, tried, path, plans, counts, me)
         if more >= 0:
             a[:] = tried
             held[:] = a
@@ -171,22 +196,31 @@ def shield_row(
 
 @compiled
 def shield_rows(
-    world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
-    acted: Bools,
+    world: World, uavs: int, q: Array, v: Array, a: Array, stop: Bools, held: Array,
+    left: Indices, acted: Bools,
 ) -> None:  # fmt: skip
     """Compiled loop of `shield` over N simulations."""
     path = np.empty((world.substeps * (max(HELD) + 1) + 2, 3))
+    plans = np.empty((uavs + 1, longest_plan(world, max(HELD) + 1) if uavs > 1 else 1, 3))
+    counts = np.empty(uavs, dtype=np.intp)
     for i in range(len(v)):
-        before = stop[i]
+        w, me, before = scene_of(world, i), i % uavs, stop[i]
+        if uavs > 1 and me == 0:
+            for j in range(uavs):
+                counts[j] = plan_row(
+                    world, w, q[i + j], v[i + j], held[i + j], left[i + j], plans[j]
+                )
         left[i], acted[i] = shield_row(
-            world, scene_of(world, i), q[i], v[i], a[i], held[i], path, left[i]
+            world, w, q[i], v[i], a[i], held[i], path, left[i], plans, counts, me
         )
         stop[i] = before and not acted[i]
+        if uavs > 1 and np.array_equal(held[i], a[i]):  # else it flies on as planned before
+            counts[me] = plan_row(world, w, q[i], v[i], a[i], 1 + left[i], plans[me])
 
 
 def shield(
     world: World, q: Array, v: Array, a: Array, stop: Bools, held: Array, left: Indices,
-    acted: Bools,
+    acted: Bools, uavs: int = 1,
 ) -> None:  # fmt: skip
     """Bends commands that leave no way to stop without touching anything.
 
@@ -195,5 +229,6 @@ def shield(
         stop: (N,), whether they are the stop that collects; cleared where the shield acts.
         held, left: (N, 3), (N,), the backup of the slot before; overwritten with that of this one.
         acted: (N,), written: whether the command was changed.
+        uavs: number of UAVs in a fleet; those of a fleet follow each other, the first one first.
     """
-    shield_rows(world, plain(q), plain(v), a, stop, held, left, acted)
+    shield_rows(world, uavs, plain(q), plain(v), a, stop, held, left, acted)

@@ -21,6 +21,7 @@ class World(NamedTuple):
         bounds: (N, 2, 3) m. boxes: (N, M, 2 or 3, 3) m, padded with `EMPTY_BOX`.
         nodes, members: (N, ..., 2, 3) m, (N, M), the boxes' trees, see `geometry.tree.Tree`.
         v_max, a_max, radius, unit: (N, 1) in m/s, m/s^2, m, m; unit is that of `Scene.unit`.
+        apart: (N, 1) m that the centres of two UAVs keep apart.
         slot, step: seconds of a slot and of a physics step, the same for all simulations.
         substeps: physics steps in a slot, n.
     """
@@ -33,6 +34,7 @@ class World(NamedTuple):
     a_max: Array
     radius: Array
     unit: Array
+    apart: Array
     slot: float
     step: float
     substeps: int
@@ -77,6 +79,7 @@ class World(NamedTuple):
             a_max=column("a_max"),
             radius=column("reach"),
             unit=column("unit"),
+            apart=column("apart"),
             slot=first.slot,
             step=first.physics_step,
             substeps=first.substeps,
@@ -99,6 +102,7 @@ class World(NamedTuple):
             a_max=self.a_max[which],
             radius=self.radius[which],
             unit=self.unit[which],
+            apart=self.apart[which],
         )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from mjcollect.envs.batch import BatchedFlightEnv, Fleet, Simulations
+from mjcollect.envs.batch import Batch, BatchedFlightEnv, Simulations
 from mjcollect.envs.course import Course
 from mjcollect.flight.disturbance import Disturbances
 from mjcollect.learning.config import LearnConfig
@@ -39,7 +39,7 @@ class Trainer:
 
     def __init__(
         self,
-        simulations: Fleet,
+        simulations: Batch,
         evaluator: Evaluator,
         config: LearnConfig,
         seed: int,
@@ -96,7 +96,7 @@ class Trainer:
         self.last: Evaluation | None = None
         self._now = self.env.reset()
 
-    def move(self, simulations: Fleet) -> None:
+    def move(self, simulations: Batch) -> None:
         """Goes on learning in other simulations, at the start of their episodes."""
         self.env.close()
         self.env = BatchedFlightEnv(simulations, device=self.device)

@@ -66,6 +66,7 @@ class _SceneFile(BaseModel):
     uav_radius: FiniteFloat = 0.5
     physics_step: FiniteFloat = 0.02
     clearance: FiniteFloat = 0.0
+    separation: FiniteFloat = 0.0
     moving: list[_MovingBox] = []
     origin: _Origin | None = None
 

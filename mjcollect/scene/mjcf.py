@@ -29,11 +29,13 @@ ITEM_RGBA = (0.95, 0.65, 0.0, 1.0)
 DEPOT_RGBA = (0.10, 0.45, 0.85, 1.0)
 
 
-def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjcf.RootElement:
-    """Returns the MJCF of a scene with one quadrotor at the depot.
+def build(
+    scene: Scene, *, solid: bool = True, visual_scale: float = 1.0, uavs: int = 1
+) -> mjcf.RootElement:
+    """Returns the MJCF of a scene with quadrotors, whose joints are at the coordinates' origin.
 
     Args:
-        scene: what to build.
+        scene: what to build. uavs: number of quadrotors, named as `uav_name` says.
         solid: whether contacts stop the body. If not, they are sensed but motion goes on by
             eq. (2)-(3), as the `paper` reward preset needs.
         visual_scale: factor on the quadrotor's visual geoms, for pictures of a 1 km scene; the
@@ -83,18 +85,27 @@ def build(scene: Scene, *, solid: bool = True, visual_scale: float = 1.0) -> mjc
         material="glow",
         rgba=DEPOT_RGBA,
     )
-    _add_quadrotor(root, scene, visual_scale)
-    if not solid:
-        # MuJoCo senses contacts nearer than margin + gap = 0 and resolves those nearer than margin,
-        # which is none. With constraints disabled it would not look for contacts at all.
-        body = root.find("geom", UAV_GEOM)
-        body.margin, body.gap = -NEVER, NEVER
+    for number in range(uavs):
+        name = uav_name(number, uavs)
+        _add_quadrotor(root, scene, visual_scale, name)
+        body = root.find("geom", f"{name}/body")
+        if uavs > 1:  # They touch each other as well.
+            body.conaffinity = 1
+        if not solid:
+            # MuJoCo senses contacts nearer than margin + gap = 0 and resolves those nearer than
+            # margin, which is none. With constraints disabled it would not look for contacts.
+            body.margin, body.gap = -NEVER, NEVER
     return root
 
 
-def compile_model(scene: Scene, *, solid: bool = True) -> mujoco.MjModel:
-    """Returns the scene as a plain MuJoCo model, `solid` as in `build`."""
-    root = build(scene, solid=solid)
+def uav_name(number: int, uavs: int) -> str:
+    """Returns the name in the model of one of so many quadrotors, before `/uav` and the like."""
+    return "quadrotor" if uavs == 1 else f"quadrotor_{number}"
+
+
+def compile_model(scene: Scene, *, solid: bool = True, uavs: int = 1) -> mujoco.MjModel:
+    """Returns the scene as a plain MuJoCo model, with arguments as in `build`."""
+    root = build(scene, solid=solid, uavs=uavs)
     return mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
 
 
@@ -108,8 +119,11 @@ def let_boxes_sleep(model: mujoco.MjModel) -> None:
     model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
 
 
-def _add_quadrotor(root: mjcf.RootElement, scene: Scene, visual_scale: float) -> None:
+def _add_quadrotor(
+    root: mjcf.RootElement, scene: Scene, visual_scale: float, name: str
+) -> None:
     quadrotor = mjcf.from_path(str(asset_path("quadrotor.xml")))
+    quadrotor.model = name
     quadrotor.find("geom", "body").size = (scene.uav_radius,)
     if visual_scale != 1.0:
         for geom in quadrotor.find_all("geom"):

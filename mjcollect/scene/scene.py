@@ -60,6 +60,8 @@ class Scene:
             from above; none for all zero.
         no_fly: indices of the boxes that are no bodies but places where none may fly; they count as
             bodies and are only drawn otherwise.
+        separation: metres that the centres of two UAVs keep apart, at least twice the radius; 0 for
+            four times the radius, see `apart`.
         v_max, a_max: norm limits of speed (m/s) and acceleration (m/s^2), eq. (2)-(3).
         epsilon: collection radius, eq. (5).
         slot: time for which one command is held, the paper's delta.
@@ -88,6 +90,7 @@ class Scene:
     clearance: float = 0.0
     yaw: Array = field(default_factory=lambda: np.zeros(0))
     no_fly: tuple[int, ...] = ()
+    separation: float = 0.0
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -124,6 +127,11 @@ class Scene:
     def reach(self) -> float:
         """Returns how near (m) the body's centre may come to a box: radius and clearance."""
         return self.uav_radius + self.clearance
+
+    @property
+    def apart(self) -> float:
+        """Returns how near (m) the centres of two UAVs may come: `separation` or its default."""
+        return self.separation or 4 * self.uav_radius
 
     @cached_property
     def unit(self) -> float:
@@ -197,7 +205,8 @@ class Scene:
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
         moving = [box.to_dict() for box in self.moving]
         document |= {"moving": moving} if moving else {}
-        document |= {"clearance": self.clearance} if self.clearance else {}
+        for name in ("clearance", "separation"):
+            document |= {name: getattr(self, name)} if getattr(self, name) else {}
         return document | ({} if self.origin is None else {"origin": self.origin.to_dict()})
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -232,6 +241,9 @@ class Scene:
             )
         if not 0.0 <= self.clearance <= LIMIT_RANGE[1]:
             raise SceneError("clearance", self.clearance, "must be a number from 0 on")
+        if self.separation and not 2 * self.uav_radius <= self.separation <= LIMIT_RANGE[1]:
+            fix = f"must be at least 2 * uav_radius = {2 * self.uav_radius:g} m"
+            raise SceneError("separation", self.separation, fix)
         self._check_bounds()
         self._check_obstacles()
         self._check_moving()

@@ -36,6 +36,7 @@ def world_of(bounds, boxes, slot=SLOT):
         a_max=np.array([[A_MAX]]),
         radius=np.array([[RADIUS]]),
         unit=np.ones((1, 1)),
+        apart=np.full((1, 1), 4 * RADIUS),
         slot=slot,
         step=0.02,
         substeps=round(slot / 0.02),

@@ -102,7 +102,7 @@ Crew = LocalCrew | RayCrew
 
 
 class ShardedSimulations:
-    """Makes one `batch.Fleet` of the simulations of a crew, in the order of its shards."""
+    """Makes one `batch.Batch` of the simulations of a crew, in the order of its shards."""
 
     def __init__(self, crew: Crew, makes: Sequence[Make], counts: Sequence[int]) -> None:
         """Has every server make its simulations.

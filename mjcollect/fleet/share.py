@@ -1,0 +1,110 @@
+"""Gives each UAV of a fleet its part of a scene: its items, and a place of its own at the depot."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjcollect.geometry.among_boxes import gap_to_boxes, segment_clear
+from mjcollect.geometry.compiled import Array
+from mjcollect.scene.file_format import SceneError
+from mjcollect.scene.scene import Scene
+
+GRID = 13  # Places at the depot are looked for on a grid of so many points along each axis,
+SHARES = np.linspace(0.45, 0.0, 19)  # first such that stops may miss them by such shares of the
+# depot's tolerance.
+LEAST = 0.02  # A stop may miss its place by this share at least.
+
+
+def pads(scene: Scene, count: int) -> tuple[Array, float]:
+    """Returns places (count, 3) in m at the depot where UAVs start and end, and how exactly.
+
+    UAVs that rest within the tolerance returned (m) of their places are within `return_tolerance`
+    of the depot, and keep apart from each other. A single one has the depot itself.
+
+    Raises:
+        SceneError: so many do not find room.
+    """
+    if count == 1:
+        return scene.depot[None].copy(), scene.return_tolerance
+    whole = scene.return_tolerance
+    axis = np.linspace(-whole, whole, GRID)
+    offset = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    offset = np.concatenate([offset, _ring(count) * whole])
+    size = np.linalg.norm(offset, axis=1)
+    for share in SHARES:
+        tolerance = max(share, LEAST) * whole
+        # Rings reach out as far as they may; the grid's points must lie within.
+        inner = whole - tolerance
+        found = np.where(size[:, None] > inner, offset * (inner / np.maximum(size, 1e-9))[:, None], offset)
+        found = found[(size <= inner + 1e-9) | (np.arange(len(size)) >= GRID**3)]
+        free = _free(scene, scene.depot + found)
+        chosen = spread(free, count, scene.apart + 2 * tolerance)
+        if chosen is not None:
+            return chosen, tolerance
+    raise SceneError(
+        "return_tolerance", whole,
+        f"{count} UAVs that keep {scene.apart:g} m apart find no room within it at the depot; "
+        "raise it, lower separation, or take fewer UAVs",
+    )  # fmt: skip
+
+
+def _ring(count: int) -> Array:
+    """Returns unit vectors (count, 3) evenly round a level circle."""
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
+
+
+def _free(scene: Scene, points: Array) -> Array:
+    """Returns those of points (n, 3) that a body reaches straight from the depot."""
+    low, high = scene.bounds
+    inside = np.all((points >= low) & (points <= high), axis=1)
+    points = points[inside]
+    clear = segment_clear(scene.depot[None], points, scene.tree, scene.reach)
+    clear &= gap_to_boxes(points, scene.tree, scene.reach) >= scene.reach
+    return points[clear]
+
+
+def spread(points: Array, count: int, apart: float) -> Array | None:
+    """Returns `count` of points (n, 3), each the farthest from those before; None if too near."""
+    if len(points) < count:
+        return None
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    gap = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(gap.argmax()))
+        if gap[chosen[-1]] < apart:
+            return None
+        gap = np.minimum(gap, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return points[chosen]
+
+
+def parts(scene: Scene, tours: Sequence[Sequence[int]]) -> tuple[Scene, ...]:
+    """Returns one scene for each tour: its items in the order of visit, a place at the depot.
+
+    They share what is computed of the boxes. A scene of one UAV is the scene itself, with its items
+    in the order of visit.
+
+    Args:
+        tours: indices of items, at least one each; no item twice.
+
+    Raises:
+        SceneError: so many UAVs find no room at the depot.
+    """
+    places, tolerance = pads(scene, len(tours))
+    return tuple(
+        _part(scene, f"{scene.name} {uav}", tour, place, tolerance)
+        for uav, (tour, place) in enumerate(zip(tours, places, strict=True))
+    )
+
+
+def _part(scene: Scene, name: str, tour: Sequence[int], depot: Array, tolerance: float) -> Scene:
+    own = copy.copy(scene)  # with what it has computed of its boxes, which stay as they are
+    values = {"items": scene.items[list(tour)], "depot": depot.copy()}
+    for array in values.values():
+        array.setflags(write=False)
+    for name_, value in {**values, "name": name, "return_tolerance": tolerance}.items():
+        object.__setattr__(own, name_, value)
+    return own
