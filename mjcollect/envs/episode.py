@@ -35,6 +35,7 @@ from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
 from mjcollect.geometry.turns import joined
 from mjcollect.guidance.approach import Approach
+from mjcollect.guidance.right_of_way import RightOfWay, Seen
 
 SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "truth",
@@ -165,6 +166,7 @@ class Episodes:
         )
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
         self.asked, self.room = np.ones(count), np.ones(count)
+        self.traffic = RightOfWay(count, uavs) if uavs > 1 and rules.shield else None
         self._all = np.arange(count)
         self._update_estimates()
         self.approach = self._approach()
@@ -195,6 +197,9 @@ class Episodes:
         self.steps[which] = 0
         self.crashed[which] = self.home[which] = False
         self.left[which], self.asked[which] = 0, 1.0
+        self.shielded[which] = False
+        if self.traffic is not None:
+            self.traffic.reset(which)
         self._update_estimates()
         self._update_approach(self.approach, which)
 
@@ -216,6 +221,8 @@ class Episodes:
         if self._framed:
             action = np.where(np.isfinite(action), action, 0.0)
             action = np.einsum("nk,nkj->nj", action, self.approach.frame)
+        if self.traffic is not None:
+            action = self.traffic.actions(self._seen_fleet(), action)
         world, q, v = self.seen_world, self.q, self.seen_v
         a, self._stop = command(world, q, v, action, goal, tolerance)
         if self._estimates:
@@ -230,6 +237,13 @@ class Episodes:
         elif self.rules.shield:
             shield(world, q, v, a, self._stop, self.held, self.left, self.shielded, self.uavs)
         return a
+
+    def _seen_fleet(self) -> Seen:
+        """Returns what the fleets know."""
+        return Seen(
+            self.world, self.targets.guidance, self.target, self.q, self.seen_v, self.shielded,
+            self.home,
+        )  # fmt: skip
 
     def _margins(self) -> Margins:
         """Returns what the shield keeps clear of in disturbed air."""
