@@ -9,7 +9,9 @@ from mjcollect.geometry.boxes import segment_box_distance
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
-from mjcollect.verify import Violation, _clearance, main, verify
+from mjcollect.verify import Violation, verify
+from mjcollect.verify.__main__ import main
+from mjcollect.verify.flight import _clearance
 
 
 def kinds(found: list[Violation]) -> set[str]:

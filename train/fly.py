@@ -3,6 +3,7 @@
 python -m train.fly --scene FILE
 python -m train.fly --scene FILE --planner mpc
 python -m train.fly --scene FILE --wind 5 --gusts 2.5 --mover 10 --flights 100
+python -m train.fly --scene FILE --uavs 3
 python -m train.fly --run DIR
 """
 
@@ -12,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -21,7 +22,9 @@ import tyro
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.disturbed import is_disturbed
+from mjcollect.envs.episode import Rules
 from mjcollect.envs.recording import fly, fly_law
+from mjcollect.fleet.flight import fly_fleet
 from mjcollect.flight.disturbance import Disturbance
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import DISTURBED, SHIPPED, TrainedPolicy, policy_digest
@@ -32,6 +35,16 @@ from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
 from train import segment
+from train.fleets.fly import (
+    Trained,
+    check_fleet,
+    finished_fleet,
+    fleet_policies,
+    fly_by_policies,
+    pilot_of,
+    share_scene,
+)
+from train.fleets.report import finish_fleet, write_fleet
 from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.disturbed_mission import (
@@ -69,6 +82,8 @@ class Args:
     disturbed air), or a .safetensors or .pt file."""
     finetune: int = 2_000
     """Trains that policy for this many updates in each segment where it fails; 0 for none."""
+    uavs: int = 1
+    """Shares the items of --scene among so many UAVs, which fly at the same time."""
     order: str | None = None
     """Orders the items of --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
     out: Path | None = None
@@ -111,6 +126,8 @@ def fly_mission(args: Args) -> int:
     """
     if args.run is None and args.scene is None:
         raise RunError("give --scene FILE to fly it at once, or --run DIR of a finished mission")
+    if args.uavs != 1 or (args.run is not None and (args.run / "fleet.json").is_file()):
+        return fly_fleet_mission(args)
     given = {"seed": args.seed, "flights": args.flights}
     least = {"seed": 0, "flights": 1}
     check_least(args, finetune=0, **{k: least[k] for k, v in given.items() if v is not None})
@@ -209,6 +226,78 @@ def fly_mission(args: Args) -> int:
     write_mission(folder, scene, result, flight, plots=args.plots, air=air)
     folder.unlock()
     return finish(folder, [folder.path / "mission.mp4"] if args.video else [], args.plots, notes)
+
+
+def fly_fleet_mission(args: Args) -> int:
+    """Flies, verifies and draws a mission of several UAVs, or one of a run again.
+
+    Raises:
+        RunError, SceneError, TourError, GuidanceError: the arguments are wrong; nothing is written.
+    """
+    check_least(args, uavs=1, finetune=0, **({} if args.seed is None else {"seed": 0}))
+    if args.policy is not None and (args.run is not None or args.planner != "policy"):
+        raise RunError(f"--policy: {args.policy}: flies a --scene; leave --run and --planner out")
+    if args.planner == "reference":
+        raise RunError(
+            "--planner: reference: its plan is made for one UAV; take policy, guidance or mpc"
+        )
+    seed = args.seed or 0
+    scene = Scene.load(args.run / "scene.json") if args.run else Scene.find(args.scene or "")
+    check_place(scene.origin)
+    others = {"--flights": args.flights, "--guidance-cache": args.guidance_cache}
+    disturbed = {f"--{k}": v for k, v in asdict(args.disturbance).items() if v != getattr(CALM, k)}
+    check_fleet(args.uavs, scene, {**others, **disturbed}, args.order)
+    policies: list[TrainedPolicy] = []
+    if args.run is not None:
+        sharing, seed = finished_fleet(args.run, scene)
+        names = [args.run.resolve().name]
+        if args.planner == "policy":
+            policies = fleet_policies(args.run, sharing)
+    else:
+        sharing = share_scene(scene, args.uavs, seed)
+        names = [scene.slug, f"{args.uavs}uavs"]
+        if args.planner == "policy":
+            args = replace(args, policy=args.policy or SHIPPED)
+            one = start_from(args.policy or SHIPPED, LearnConfig())[0]
+            check_size(one, sharing.courses[0])
+            policies = [one] * sum(len(course.guidance) for course in sharing.courses)
+    folder = RunFolder(args.out or default_folder("fly", *names, args.planner, f"seed{seed}"))
+    config = {
+        "program": "train.fly",
+        "scene": scene.name,
+        "uavs": sharing.uavs,
+        "tours": [list(tour) for tour in sharing.tours],
+        "planner": args.planner,
+        "run": None if args.run is None else str(args.run),
+        "policy": None if args.policy is None else policy_digest(args.policy),
+        "seed": seed,
+        "shield": args.shield,
+    }
+    folder.check(config, overwrite=args.overwrite)
+    folder.create(config, scene, overwrite=args.overwrite)
+    trained: Trained = [[None] * len(course.guidance) for course in sharing.courses]
+    notes: list[str] = []
+    if args.planner == "policy":
+
+        def train(uav: int, index: int) -> tuple[TrainedPolicy, dict[str, Any]]:
+            course, own = sharing.courses[uav], sharing.folder(folder, uav)
+            own.path.mkdir(parents=True, exist_ok=True)
+            own.write("scene.json", course.scene.save)
+            order = tuple(range(len(course.scene.items)))
+            return _train(args, course, order, own, seed, args.shield, index)
+
+        repairs = train if args.finetune and args.policy is not None else None
+        flown, trained, notes = fly_by_policies(
+            sharing, policies, repairs, shield=args.shield, explore=args.explore
+        )
+    else:
+        pilot, observation = pilot_of(args.planner, sharing, [], args.explore)
+        flown = fly_fleet(sharing.courses, pilot, Rules(observation, shield=args.shield))
+    for note in notes:
+        say(note)
+    write_fleet(folder, sharing, flown, args.planner, seed, trained, plots=args.plots)
+    folder.unlock()
+    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
 
 
 def _train(

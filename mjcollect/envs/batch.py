@@ -21,7 +21,7 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mjcollect.envs.course import Course, StartKind
-from mjcollect.envs.episode import SAVED, Episodes, Outcome, Rules
+from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
 from mjcollect.flight.contact import may_touch_rows
 from mjcollect.flight.disturbance import Disturbances
@@ -148,10 +148,11 @@ class Simulations:
         """Returns the whole state, without courses and settings."""
         episodes = self.episodes
         disturbances = episodes.disturbances
+        saved = SAVED + (FLEET_SAVED if self.uavs > 1 else ())
         return {
             "rng": self.rng.bit_generator.state,
             "simulations": torch.from_numpy(self.state.copy()),
-            "episodes": {name: torch.from_numpy(getattr(episodes, name).copy()) for name in SAVED},
+            "episodes": {name: torch.from_numpy(getattr(episodes, name).copy()) for name in saved},
             "disturbances": None if disturbances is None else disturbances.state_dict(),
         }
 
@@ -173,7 +174,7 @@ class Simulations:
         control = plain(np.broadcast_to(each, (self.count, self._n, 3)))
         q, v = plain(self._flights(self.state, 0)), plain(self._flights(self.state, 1))
         may_touch_rows(self.episodes.world, self.uavs, q, v, control, self._near)
-        near = self._near.reshape(-1, self.uavs).any(axis=1).tolist()
+        near: list[bool] = self._near.reshape(-1, self.uavs).max(axis=1).tolist()
         if self.uavs > 1:
             whole = control.reshape(-1, self.uavs, self._n, 3).swapaxes(1, 2)
             control = plain(whole).reshape(-1, self._n, 3 * self.uavs)
@@ -314,7 +315,7 @@ class BatchedFlightEnv(EnvBase):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        action = tensordict["action"].cpu().numpy().astype(np.float64)
+        action = tensordict["action"].detach().cpu().numpy().astype(np.float64)
         outcome = self.simulations.step(action)
         reward = torch.from_numpy(outcome.reward.astype(np.float32)[:, None]).to(self.device)
         return self._dict(

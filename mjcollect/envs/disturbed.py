@@ -275,7 +275,7 @@ def fly_batch(
     )  # fmt: skip
     try:
         sims.reset()
-        tracks = [_Track(course, sims, index) for index in range(flights)]
+        tracks = [Track(course, sims, index) for index in range(flights)]
         running = np.arange(flights)
         while len(running):
             outcome = sims.step(pilot(sims))
@@ -296,7 +296,7 @@ def is_disturbed(level: Disturbance) -> bool:
     return any(getattr(level, kind) > 0.0 for kind in STRENGTHS)
 
 
-class _Track:
+class Track:
     """Records one of the flights of a batch.
 
     Attributes:
@@ -304,9 +304,10 @@ class _Track:
     """
 
     def __init__(self, course: Course, sims: Simulations, index: int) -> None:
+        """Begins with where flight `index` of the simulations, on a course, is now."""
         self._scene, self._index, self.ended = course.scene, index, ""
-        state = sims.state[index]
-        self._recorder = Recorder(state[1:4], state[4:7], course.scene.physics_step)
+        q, v = sims.episodes.truth[index], sims.episodes.v[index]
+        self._recorder = Recorder(q, v, course.scene.physics_step)
         self._arrivals: list[float] = []
         self._shielded: list[bool] = []
         self._gave_way = 0

@@ -1,13 +1,15 @@
 """Defines the dm-control environment of one UAV on a segment or mission, and its registry.
 
 `mjcollect.load("segment", scene=..., segment=2)` returns a `dm_control.rl.control.Environment`.
+What physics and task do, they do for any number of UAVs: `fleet.dm_env` builds on it.
 """
 
 from __future__ import annotations
 
 import collections
+import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,7 @@ from mujoco import mj_step
 from mjcollect.envs.course import START_KINDS, Course, StartKind
 from mjcollect.envs.episode import Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
-from mjcollect.geometry.compiled import Array
+from mjcollect.geometry.compiled import Array, Bools
 from mjcollect.scene.mjcf import build
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
@@ -28,40 +30,45 @@ DEFAULT_SCENE = "scenario_1"
 
 
 class Physics(mujoco.Physics):
-    """Simulates one UAV and remembers every physics step of the last slot.
+    """Simulates M UAVs, mostly one, and remembers every physics step of the last slot.
 
     Attributes:
-        path, speeds: (n, 3) positions (m) and velocities (m/s) after each physics step.
-        touch: (n,) whether the contact sensor fired in each physics step.
+        path, speeds: (n, 3 M) positions (m) and velocities (m/s) after each physics step.
+        touch: (n, M) whether each contact sensor fired in each physics step.
     """
 
     path: Array
     speeds: Array
-    touch: np.ndarray
+    touch: Bools
 
     def step(self, nstep: int = 1) -> None:
         """Advances by `nstep` steps and keeps each: a contact inside a slot must not be lost."""
         data = self.data.ptr
-        q, v, sensors = data.qpos[:3], data.qvel[:3], data.sensordata
-        self.path, self.speeds = np.empty((nstep, 3)), np.empty((nstep, 3))
-        self.touch = np.empty(nstep, dtype=bool)
+        q, v, sensors = data.qpos, data.qvel, data.sensordata
+        path, speeds = np.empty((nstep, len(q))), np.empty((nstep, len(v)))
+        sensed = np.empty((nstep, len(sensors)))
         with self.check_invalid_state():
             for k in range(nstep):
                 mj_step(self.model.ptr, data)
-                self.path[k], self.speeds[k] = q, v
-                self.touch[k] = sensors[0] > 0
+                path[k], speeds[k], sensed[k] = q, v, sensors
+        self.path, self.speeds, self.touch = path, speeds, sensed > 0
 
-    def position(self) -> Array:
-        """Returns the position (3,) of the UAV's centre in m."""
-        return np.array(self.data.qpos[:3])
+    def flights(self) -> tuple[Array, Array, Bools]:
+        """Returns of each UAV what `Episodes.end_slot` takes: path, final velocity, touch."""
+        path = self.path.reshape(len(self.path), -1, 3).swapaxes(0, 1)
+        return path, self.speeds[-1].reshape(-1, 3), self.touch.T
 
-    def velocity(self) -> Array:
-        """Returns the velocity (3,) in m/s."""
-        return np.array(self.data.qvel[:3])
+    def position(self, uav: int = 0) -> Array:
+        """Returns the position (3,) of a UAV's centre in m."""
+        return np.array(self.data.qpos[3 * uav : 3 * uav + 3])
 
-    def speed(self) -> float:
-        """Returns the norm of the velocity in m/s."""
-        return float(np.linalg.norm(self.velocity()))
+    def velocity(self, uav: int = 0) -> Array:
+        """Returns the velocity (3,) of a UAV in m/s."""
+        return np.array(self.data.qvel[3 * uav : 3 * uav + 3])
+
+    def speed(self, uav: int = 0) -> float:
+        """Returns the norm of a UAV's velocity in m/s."""
+        return float(np.linalg.norm(self.velocity(uav)))
 
 
 class FlightTask(control.Task):
@@ -73,6 +80,7 @@ class FlightTask(control.Task):
         rules: Rules,
         start: StartKind = "point",
         random: int | np.random.RandomState | None = None,
+        others: Sequence[Course] = (),
     ) -> None:
         """Sets up the task.
 
@@ -80,6 +88,7 @@ class FlightTask(control.Task):
             course: nodes to visit. rules: observation, reward and shield.
             start: kind of start state, explained at `Course.starts`.
             random: seed or random state of the starts.
+            others: courses of the other UAVs of a fleet, for `fleet.dm_env`.
 
         Raises:
             ValueError: the kind of start is unknown.
@@ -87,9 +96,11 @@ class FlightTask(control.Task):
         if start not in START_KINDS:
             raise ValueError(f"start: {start!r}: must be one of {', '.join(START_KINDS)}")
         self.course, self.start = course, start
-        self.episodes = Episodes([course], 1, rules)
+        self.courses = (course, *others)
+        uavs = len(self.courses)
+        self.episodes = Episodes(self.courses, uavs, rules, uavs=uavs)
         self.outcome: Outcome | None = None
-        self.acceleration = np.zeros(3)
+        self.acceleration = np.zeros(3 * uavs)
         # DMControlWrapper.set_seed replaces `_random` by a RandomState.
         self._random = (
             random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
@@ -108,13 +119,14 @@ class FlightTask(control.Task):
     def initialize_episode(self, physics: Physics) -> None:
         """Draws a start state and puts the UAV there."""
         rng = np.random.default_rng(self._random.randint(2**31))
-        q, v = self.course.starts(self.start, 1, rng)
-        self.place(physics, q[0], v[0])
+        starts = [course.starts(self.start, 1, rng) for course in self.courses]
+        q, v = (np.concatenate(part) for part in zip(*starts, strict=True))
+        self.place(physics, q, v)
 
     def place(self, physics: Physics, q: Array, v: Array) -> None:
-        """Begins an episode at a position (3,) in m with a velocity (3,) in m/s."""
-        physics.data.qpos[:3], physics.data.qvel[:3] = q, v
-        self.episodes.reset(np.array([0]), q[None], v[None])
+        """Begins an episode at a position (3,) in m with a velocity (3,) in m/s, or M (M, 3)."""
+        physics.data.qpos[:], physics.data.qvel[:] = q.ravel(), v.ravel()
+        self.episodes.reset(np.arange(len(self.courses)), q.reshape(-1, 3), v.reshape(-1, 3))
         self.outcome = None
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
@@ -123,14 +135,13 @@ class FlightTask(control.Task):
 
     def before_step(self, action: Array, physics: Physics) -> None:
         """Turns the raw action into a feasible command for the slot."""
-        self.acceleration = self.episodes.begin_slot(np.asarray(action, np.float64)[None])[0]
+        raw = np.asarray(action, np.float64).reshape(-1, 3)
+        self.acceleration = self.episodes.begin_slot(raw).ravel()
         physics.set_control(self.acceleration)
 
     def after_step(self, physics: Physics) -> None:
         """Judges the slot just flown."""
-        self.outcome = self.episodes.end_slot(
-            physics.path[None], physics.speeds[None, -1], physics.touch[None]
-        )
+        self.outcome = self.episodes.end_slot(*physics.flights())
 
     def get_observation(self, physics: Physics) -> collections.OrderedDict[str, Array]:
         """Returns the observation's named parts, each (d,)."""
@@ -169,20 +180,30 @@ def make_environment(
     environment_kwargs: dict[str, Any] | None = None,
 ) -> control.Environment:
     """Returns the dm-control environment of a course, with further arguments as in `load`."""
-    rules = Rules(observation, reward, shield=shield)
-    task = FlightTask(course, rules, start, random)
-    root = build(course.scene, solid=PRESETS[reward].crash_ends)
+    task = FlightTask(course, Rules(observation, reward, shield=shield), start, random)
+    return environment_of(task, course.scene, environment_kwargs)
+
+
+def environment_of(
+    task: FlightTask, scene: Scene, environment_kwargs: dict[str, Any] | None = None
+) -> control.Environment:
+    """Returns the environment of a task in a scene, with a body for each of its courses."""
+    solid = PRESETS[task.episodes.rules.reward].crash_ends
+    root = build(scene, solid=solid, uavs=len(task.courses))
     physics = Physics.from_xml_string(root.to_xml_string(), root.get_assets())
     return control.Environment(
         physics,
         task,
-        n_sub_steps=course.scene.substeps,
+        n_sub_steps=scene.substeps,
         legacy_step=False,
         **(environment_kwargs or {}),
     )
 
 
 _TASKS: dict[str, Callable[..., Course]] = {}
+# Tasks of several courses. Rooms above this one make their environments, which `load` finds by
+# these places when it is asked for them: what they need, this room must not import.
+_PLACES = {"fleet": "mjcollect.planners.fleets:fleet_environment"}
 
 
 def register(name: str) -> Callable[[Callable[..., Course]], Callable[..., Course]]:
@@ -193,7 +214,7 @@ def register(name: str) -> Callable[[Callable[..., Course]], Callable[..., Cours
     """
 
     def add(maker: Callable[..., Course]) -> Callable[..., Course]:
-        if name in _TASKS:
+        if name in (*_TASKS, *_PLACES):
             raise ValueError(f"task: {name!r}: is already registered; choose another name")
         _TASKS[name] = maker
         return maker
@@ -212,7 +233,7 @@ def _mission(scene: Scene, order: tuple[int, ...]) -> Course:
 
 
 def task_names() -> tuple[str, ...]:
-    """Returns the names of all tasks that `load` knows."""
+    """Returns the names of all tasks of one course that `load` knows."""
     return tuple(_TASKS)
 
 
@@ -233,7 +254,8 @@ def load(
     """Returns a new environment by the name of its task.
 
     Args:
-        task: `segment` (with `segment=I`), `mission`, or a name given to `register`.
+        task: `segment` (with `segment=I`), `mission`, a name given to `register`, or `fleet`
+            (with `uavs=M`), see `planners.fleets.fleet_environment`.
         scene: a `Scene`, a scene file, or the name of a bundled scene.
         order: method of the visiting order, as `plan_order` takes it; `seed` is for `random`.
         observation, reward: names of the observation and the reward preset.
@@ -245,17 +267,21 @@ def load(
         ValueError: a name is unknown; the message lists the valid ones.
         SceneError: the scene is refused.
     """
-    if task not in _TASKS:
-        raise ValueError(f"task: {task!r}: must be one of {', '.join(_TASKS)}")
+    if task not in (*_TASKS, *_PLACES):
+        raise ValueError(f"task: {task!r}: must be one of {', '.join((*_TASKS, *_PLACES))}")
     if not isinstance(scene, Scene):
         scene = Scene.find(scene)
+    options: dict[str, Any] = {
+        "observation": observation,
+        "reward": reward,
+        "start": start,
+        "random": random,
+        "shield": shield,
+        "environment_kwargs": environment_kwargs,
+    }
+    if task in _PLACES:
+        module, name = _PLACES[task].split(":")
+        make: Callable[..., control.Environment] = getattr(importlib.import_module(module), name)
+        return make(scene, order=order, seed=seed, **task_kwargs, **options)
     course = _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
-    return make_environment(
-        course,
-        observation=observation,
-        reward=reward,
-        start=start,
-        random=random,
-        shield=shield,
-        environment_kwargs=environment_kwargs,
-    )
+    return make_environment(course, **options)

@@ -51,6 +51,7 @@ SAVED = (  # These attributes of `Episodes` are an episode's whole state.
     "asked",
     "home",
 )
+FLEET_SAVED = ("shielded", "makes_room")  # And these, of fleets.
 ESTIMATES = ("flight", "truth", "none")
 GAMMA = 0.99  # The default discount factor per slot of an environment.
 
@@ -181,6 +182,16 @@ class Episodes:
         """Returns the velocities (N, 3) in m/s from which decisions are made."""
         return self.v if self.disturbances is None else self._seen_v
 
+    @property
+    def makes_room(self) -> Array:
+        """Returns the state (N, ...) of the right of way in fleets, nothing without one."""
+        return np.zeros((self.count, 0)) if self.traffic is None else self.traffic.state
+
+    @makes_room.setter
+    def makes_room(self, state: Array) -> None:
+        if self.traffic is not None:
+            self.traffic.load(state)
+
     def course(self, index: int) -> Course:
         """Returns the course of episode `index`."""
         return self.targets.course(index)
@@ -223,6 +234,8 @@ class Episodes:
             action = np.einsum("nk,nkj->nj", action, self.approach.frame)
         if self.traffic is not None:
             action = self.traffic.actions(self._seen_fleet(), action)
+        if self.uavs > 1:
+            action = np.where(self.home[:, None], 0.0, action)
         world, q, v = self.seen_world, self.q, self.seen_v
         a, self._stop = command(world, q, v, action, goal, tolerance)
         if self._estimates:

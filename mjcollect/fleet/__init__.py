@@ -1,1 +1,1 @@
-"""This room holds what several UAVs in one scene need: parts of the scene, flights, environments."""
+"""This room holds what several UAVs in one scene need: parts of it, flights, environments."""

@@ -38,7 +38,9 @@ def pads(scene: Scene, count: int) -> tuple[Array, float]:
         tolerance = max(share, LEAST) * whole
         # Rings reach out as far as they may; the grid's points must lie within.
         inner = whole - tolerance
-        found = np.where(size[:, None] > inner, offset * (inner / np.maximum(size, 1e-9))[:, None], offset)
+        found = np.where(
+            size[:, None] > inner, offset * (inner / np.maximum(size, 1e-9))[:, None], offset
+        )
         found = found[(size <= inner + 1e-9) | (np.arange(len(size)) >= GRID**3)]
         free = _free(scene, scene.depot + found)
         chosen = spread(free, count, scene.apart + 2 * tolerance)

@@ -171,14 +171,17 @@ def sides_row(
         right[0] = 1.0
     unit(right, right)
     for k in range(3):
-        above[k] = (
-            right[(k + 1) % 3] * ahead[(k + 2) % 3] - right[(k + 2) % 3] * ahead[(k + 1) % 3]
-        )
+        above[k] = right[(k + 1) % 3] * ahead[(k + 2) % 3] - right[(k + 2) % 3] * ahead[(k + 1) % 3]
     sides[0] = ahead
     if unit(passes, sides[1]) < SURE_SIDE * world.apart[w, 0]:
         sides[1] = right
     for k in range(3):
-        sides[2, k], sides[3, k], sides[4, k], sides[5, k] = right[k], above[k], -right[k], -above[k]
+        sides[2, k], sides[3, k], sides[4, k], sides[5, k] = (
+            right[k],
+            above[k],
+            -right[k],
+            -above[k],
+        )
     return True
 
 

@@ -1,7 +1,7 @@
 """Lets UAVs of a fleet that stand in each other's way go on: who comes later in it makes room.
 
-The shield of `flight.separation` keeps UAVs apart, and in the open it leads them past each other. In
-a narrow passage it can but stop them. A UAV that the shield has held up for a while asks the one
+The shield keeps UAVs apart, see `flight.separation`, and in the open it leads them past each other.
+In a narrow passage it can but stop them. A UAV that the shield has held up for a while asks the one
 ahead to make room, if that one comes after it in the fleet. That one flies to the nearest place
 off the other's path, out of the passage if it must, waits there until the other has passed, and
 goes on. While it makes room it has the other's right of way towards third ones. So the first UAV of
@@ -88,9 +88,7 @@ def is_clear(tree: Tree, reach: float, start: Array, end: Array) -> bool:
 
 
 @compiled
-def is_open(
-    world: World, w: int, start: Array, end: Array, others: Array, apart: float
-) -> bool:
+def is_open(world: World, w: int, start: Array, end: Array, others: Array, apart: float) -> bool:
     """Returns whether one may fly straight from `start` to `end` (3,), a short way.
 
     It must lead neither out of bounds, nor too near to a box, nor nearer than `apart` m to others
@@ -275,17 +273,13 @@ class RightOfWay:
         slow = np.linalg.norm(seen.v, axis=1) < crawl
         # Going to and fro before each other, not every one of its commands is changed.
         self.held_up[:] = np.where(slow & ~seen.home, self.held_up + seen.shielded, 0)
-        asked = np.flatnonzero(self.asked_by >= 0)
-        for row in asked:
+        for row in np.flatnonzero(self.asked_by >= 0).tolist():
             self._release(seen, row)
-        stuck = np.flatnonzero(self.held_up * world.slot >= HELD_UP - 1e-9)
+        stuck = np.flatnonzero(self.held_up * world.slot >= HELD_UP - 1e-9).tolist()
         for row in sorted(stuck, key=self._rank):
             self._ask(seen, row)
-        makes_room = np.flatnonzero(self.asked_by >= 0)
-        if len(makes_room) == 0:
-            return action
         action = action.copy()
-        for row in makes_room:
+        for row in np.flatnonzero(self.asked_by >= 0).tolist():
             self.at[row] = follow_row(
                 world, scene_of(world, row), seen.q[row], seen.v[row], self.route[row],
                 int(self.at[row]), int(self.count[row]), action[row],
@@ -300,10 +294,10 @@ class RightOfWay:
             row = int(self.asked_by[row])
         return int(row), self.uavs
 
-    def _fleet(self, row: int) -> Indices:
+    def _fleet(self, row: int) -> list[int]:
         """Returns the other rows of a row's fleet."""
         first = row - row % self.uavs
-        return np.array([i for i in range(first, first + self.uavs) if i != row], dtype=np.intp)
+        return [i for i in range(first, first + self.uavs) if i != row]
 
     def _path(self, seen: Seen, row: int) -> Array:
         """Returns points (P, 3) of the path that a UAV means to fly next."""
@@ -322,8 +316,7 @@ class RightOfWay:
         path = self._path(seen, other)
         apart = seen.world.apart[scene_of(seen.world, row), 0]
         passed = all(
-            gap_to_path(point, path, len(path)) >= apart
-            for point in (self.block[row], seen.q[row])
+            gap_to_path(point, path, len(path)) >= apart for point in (self.block[row], seen.q[row])
         )
         late = self.waited[row] * seen.world.slot > PATIENCE
         if passed or late or seen.home[other]:
@@ -335,23 +328,24 @@ class RightOfWay:
         world, path = seen.world, self._path(seen, row)
         apart = float(world.apart[scene_of(world, row), 0])
         others = self._fleet(row)
-        gap = np.linalg.norm(seen.q[others] - seen.q[row], axis=1)
-        in_way = [gap_to_path(seen.q[other], path, len(path)) < ROOM * apart for other in others]
-        near = others[(gap < NEAR * apart) & in_way]
-        for other in sorted(near, key=lambda other: np.linalg.norm(seen.q[other] - seen.q[row])):
+        gaps = np.linalg.norm(seen.q[others] - seen.q[row], axis=1).tolist()
+        for gap, other in sorted(zip(gaps, others, strict=True)):
+            in_way = gap_to_path(seen.q[other], path, len(path)) < ROOM * apart
+            if gap > NEAR * apart or not in_way:
+                continue
             if seen.home[other] or self._rank(other) < self._rank(row):
                 continue
-            if self.asked_by[other] == row or self._make_room(seen, int(other), row, path):
+            if self.asked_by[other] == row or self._make_room(seen, other, row, path):
                 return
             # A UAV that cannot get out of the way, as in a dead end, goes first.
-            if self._make_room(seen, row, int(other), self._path(seen, int(other))):
+            if self._make_room(seen, row, other, self._path(seen, other)):
                 return
 
     def _make_room(self, seen: Seen, row: int, other: int, path: Array) -> bool:
         """Sends a UAV off the path (P, 3) of another one; returns whether there is such a place."""
         world, w = seen.world, scene_of(seen.world, row)
         fleet = self._fleet(row)
-        rests = fleet[seen.home[fleet] | (fleet == other)]
+        rests = [i for i in fleet if seen.home[i] or i == other]
         waits = [self.route[i, int(self.count[i]) - 1] for i in fleet if self.asked_by[i] >= 0]
         keep_off = np.concatenate([seen.q[rests], np.reshape(waits, (-1, 3))])
         for spacing in SPACINGS:

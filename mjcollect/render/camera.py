@@ -118,7 +118,7 @@ def chase_eyes(
     Returns:
         (F, 3) eyes and (F,) headings in radians.
     """
-    heading, elevation = _behind(scene, x, v, goal, fps)
+    heading, elevation = behind(scene, x, v, goal, fps)
     stride = max(1, round(KEYFRAME * fps))
     keys = np.arange(0, len(x), stride)
     swing, lift = _choose(scene, x[keys], heading[keys], elevation[keys], distance)
@@ -136,8 +136,11 @@ def chase_eyes(
     return x + reach[:, None] * direction, heading
 
 
-def _behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[Array, Array]:
-    """Returns smooth heading (F,) and elevation (F,) of a camera straight behind, in radians."""
+def behind(scene: Scene, x: Array, v: Array, goal: Array, fps: float) -> tuple[Array, Array]:
+    """Returns smooth heading (F,) and elevation (F,) of a camera straight behind, in radians.
+
+    The quadrotor heads where this camera looks; see `chase_eyes` for the arguments.
+    """
     ahead = goal - x
     length = np.linalg.norm(ahead, axis=1, keepdims=True)
     # At low speed look towards the goal: the direction of a vanishing velocity means nothing.

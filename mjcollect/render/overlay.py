@@ -1,4 +1,4 @@
-"""Draws over a rendered frame with PIL: plates of text, speed bar, overview inset, names, boxes."""
+"""Draws over a rendered frame with PIL: plates of text, speed bar, overview inset, boxes."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import combinations, product
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View
+from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.settings import VideoSettings
-from mjcollect.scene.order import DEPOT, node_name
+from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 
 Colour = tuple[int, ...]
@@ -31,6 +32,7 @@ WIND: Colour = (240, 228, 66)
 MOVING: tuple[int, int, int] = (128, 92, 220)
 SHIELD: Colour = (86, 180, 233)
 EMPTY_BAR: Colour = (70, 78, 88)
+FLEET_WIDTH, FLEET_ROOM = 268, 270  # Width, and height at most, of the plate of a fleet's UAVs.
 # Nodes have these colours by `Progress.state`; the renderer's are the same.
 NODES: dict[str, Colour] = {
     "target": (242, 64, 153),
@@ -39,7 +41,9 @@ NODES: dict[str, Colour] = {
     "item": (242, 166, 0),
 }
 TARGET, COLLECTED = NODES["target"], NODES["collected"]
-NEAREST, FARTHEST = 5.0, 600.0  # Nodes between these distances from the camera (m) are named.
+# In a fleet's pictures colours tell UAVs apart: what is nobody's has none.
+UNCOLLECTED: Colour = (236, 239, 242)
+FLEET_DEPOT: Colour = (84, 94, 106)
 
 
 def speed_colours(speed: Array, v_max: float) -> Array:
@@ -55,26 +59,83 @@ def font(pixels: float, bold: bool = False) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(path), max(round(pixels), 5))
 
 
+class Look(NamedTuple):
+    """Says how a node is drawn.
+
+    Attributes:
+        fill, rim, text: colours of its disc or square, of the edge and of what stands in it.
+        accent: colour of its name's rim and, if it is flown to, of the ring around it.
+        grow: factor on its size. edge: width of the rim as a share of its radius.
+    """
+
+    fill: Colour
+    rim: Colour
+    text: Colour
+    accent: Colour
+    grow: float
+    edge: float
+
+
+def node_look(fleet: FleetProgress, node: int, reached: Sequence[int]) -> Look:
+    """Returns how a node is drawn once each flight has reached so many targets, `reached` (M,).
+
+    In a fleet's pictures an item has the colour of the UAV that collected it, and is rimmed by that
+    of the UAV that flies to it.
+    """
+    state, m = fleet.state(node, reached)
+    grow = 1.25 if state == "target" else 1.0
+    if fleet.is_alone:
+        text = DARK if state == "item" else WHITE
+        return Look(NODES[state], WHITE, text, NODES[state], grow, 1 / 6)
+    fill = FLEET_DEPOT if node == DEPOT else UNCOLLECTED
+    if state == "collected" and m is not None:
+        fill = uav_colour(fleet, m)
+    if state == "target" and m is not None:
+        colour = uav_colour(fleet, m)
+        return Look(fill, colour, ink(fill), colour, grow, 1 / 3)
+    return Look(fill, WHITE if fill != UNCOLLECTED else DARK, ink(fill), fill, grow, 1 / 6)
+
+
+def uav_colour(fleet: FleetProgress, m: int) -> Colour:
+    """Returns the colour of a flight's marker: of the fleet's UAV, or that of a single one."""
+    return UAV if fleet.is_alone else ImageColor.getrgb(fleet.colour(m))
+
+
+def ink(fill: Colour) -> Colour:
+    """Returns the colour, dark or white, of text that is read best on a colour."""
+    return DARK if np.dot(fill[:3], (0.299, 0.587, 0.114)) > 135 else WHITE
+
+
+def on_panel(colour: Colour) -> Colour:
+    """Returns a colour that can be read on a dark plate: dark ones become lighter."""
+    share = 0.6 if ink(colour) == WHITE else 0.0
+    share = 0.35 if share and max(colour[:3]) > 150 else share
+    return tuple(round(part + share * (255 - part)) for part in colour[:3])
+
+
 class Overview:
-    """Draws the flown path and the nodes on a still of the whole scene, seen from one corner.
+    """Draws flown paths and the nodes on a still of the whole scene, seen from one corner.
 
     Stills are rendered once per state of the items, which keeps a video affordable. The inset in
     the corner of a frame is the middle of a still, made small; on it the path is drawn once,
     piece by piece.
     """
 
-    def __init__(self, progress: Progress, view: View, trail: Array, colours: Array) -> None:
+    def __init__(
+        self, fleet: FleetProgress, view: View, trails: Sequence[tuple[Array, Array]]
+    ) -> None:
         """Projects everything once.
 
         Args:
-            progress: what to mark. view: the camera of the stills.
-            trail: (N, 3) points of the flown path in metres. colours: (N, 3) RGB in 0..1 there.
+            fleet: what to mark. view: the camera of the stills.
+            trails: of each flight (N, 3) points of its path in metres and (N, 3) RGB in 0..1 there.
         """
-        scene, self._progress, self._view = progress.scene, progress, view
-        self._pixels = view.project(trail)[0]
-        self._colours = (colours * 255).astype(int)
-        hidden = ~segment_clear(trail[:, None], view.eye[None, None], scene.tree, 1e-6)[:, 0]
-        self._alpha = np.where(hidden, 110, 255)
+        scene, self._fleet, self._view = fleet.scene, fleet, view
+        self._pixels = [view.project(points)[0] for points, _ in trails]
+        self._colours = [(colours * 255).astype(int) for _, colours in trails]
+        eye = view.eye[None, None]
+        hidden = [~segment_clear(at[:, None], eye, scene.tree, 1e-6)[:, 0] for at, _ in trails]
+        self._alpha = [np.where(behind, 110, 255) for behind in hidden]
         self._nodes = range(DEPOT, len(scene.items))
         self._node_pixels = view.project(np.array([scene.point(node) for node in self._nodes]))[0]
         width, height = view.size
@@ -84,54 +145,70 @@ class Overview:
         self.inset_size = (small, round(small * height / cut))
         self._zoom = cut / small
         self._canvas = Image.new("RGB", view.size)
-        self._reached = self._drawn = -1  # arrivals and points of the path on the canvas
+        # Arrivals, and points of each path, that are on the canvas.
+        self._reached: tuple[int, ...] = ()
+        self._drawn = [0] * len(trails)
 
-    def path(self, image: Image.Image, first: int, last: int, width: float) -> None:
-        """Draws the path's points first..last, fainter where a box hides it; `width` in pixels."""
-        draw = ImageDraw.Draw(image, "RGBA")
+    @property
+    def _order(self) -> list[int]:
+        """Returns the flights in the order in which they are drawn, the lead on top."""
+        lead = self._fleet.lead
+        return [*(m for m in range(len(self._pixels)) if m != lead), lead]
+
+    def paths(self, image: Image.Image, last: Sequence[int], width: float) -> None:
+        """Draws each path up to the point `last` (M,), `width` pixels wide."""
+        for m in self._order:
+            self._path(image, m, 0, last[m], width)
+
+    def _path(self, image: Image.Image, m: int, first: int, last: int, width: float) -> None:
+        """Draws the points first..last of flight `m`, fainter where a box hides it."""
+        draw, pixels = ImageDraw.Draw(image, "RGBA"), self._pixels[m]
         for outline in (True, False):
             for k in range(first, last):
-                colour = DARK if outline else tuple(self._colours[k])
-                ends = [tuple(self._pixels[k]), tuple(self._pixels[k + 1])]
-                alpha = int(self._alpha[k] * (0.35 if outline else 1.0))
+                colour = DARK if outline else tuple(self._colours[m][k])
+                ends = [tuple(pixels[k]), tuple(pixels[k + 1])]
+                alpha = int(self._alpha[m][k] * (0.35 if outline else 1.0))
                 draw.line(ends, (*colour, alpha), round(width * (2.0 if outline else 1.0)))
 
-    def nodes(self, image: Image.Image, reached: int, radius: float) -> None:
+    def nodes(self, image: Image.Image, reached: Sequence[int], radius: float) -> None:
         """Draws items as numbered discs and the depot as a square, of `radius` pixels."""
         draw = ImageDraw.Draw(image, "RGBA")
         ordered = sorted(zip(self._nodes, self._node_pixels, strict=True), key=lambda n: n[1][1])
         for node, place in ordered:
-            state = self._progress.state(node, reached)
-            grow = radius * (1.25 if state == "target" else 1.0)
+            look = node_look(self._fleet, node, reached)
+            grow = radius * look.grow
             shape = draw.rectangle if node == DEPOT else draw.ellipse
             box = (*(place - grow), *(place + grow))
-            shape(box, NODES[state], WHITE, max(1, round(radius / 6)))
+            shape(box, look.fill, look.rim, max(1, round(radius * look.edge)))
             label = "D" if node == DEPOT else str(node)
-            colour = DARK if state == "item" else WHITE
-            draw.text(tuple(place), label, colour, font(radius * 1.25, True), anchor="mm")
+            draw.text(tuple(place), label, look.text, font(radius * 1.25, True), anchor="mm")
 
-    def uav(self, image: Image.Image, x: Array, radius: float) -> None:
-        """Draws the quadrotor's marker at `x` (3,) and a thin line down to the ground."""
-        foot = np.array([x[0], x[1], self._progress.scene.bounds[0, 2]])
-        (u, v), below = self._view.project(np.stack([x, foot]))[0]
-        draw = ImageDraw.Draw(image, "RGBA")
-        draw.line([(u, v), tuple(below)], (*UAV, 170), max(1, round(radius / 5)))
-        draw.circle((u, v), radius, UAV, WHITE, max(1, round(radius / 4)))
+    def uavs(self, image: Image.Image, xs: Array, radius: float) -> None:
+        """Draws each quadrotor's marker at `xs` (M, 3) and a thin line down to the ground."""
+        draw, floor = ImageDraw.Draw(image, "RGBA"), self._fleet.scene.bounds[0, 2]
+        for m in self._order:
+            x, colour = xs[m], uav_colour(self._fleet, m)
+            foot = np.array([x[0], x[1], floor])
+            (u, v), below = self._view.project(np.stack([x, foot]))[0]
+            draw.line([(u, v), tuple(below)], (*colour, 170), max(1, round(radius / 5)))
+            draw.circle((u, v), radius, colour, WHITE, max(1, round(radius / 4)))
 
     def inset(
-        self, still: Picture, reached: int, point: int, x: Array, moving: Sequence[Array] = ()
-    ) -> Image.Image:
-        """Returns the small picture: path up to `point`, quadrotor at `x` (3,), moving boxes."""
+        self, still: Picture, reached: tuple[int, ...], last: Sequence[int], xs: Array,
+        moving: Sequence[Array] = (),
+    ) -> Image.Image:  # fmt: skip
+        """Returns the small picture: paths up to `last` (M,), quadrotors `xs` (M, 3), boxes."""
         if reached != self._reached:
             self._canvas = Image.fromarray(still)
-            self._reached, self._drawn = reached, 0
-        self.path(self._canvas, self._drawn, point, 2.0 * self._zoom)
-        self._drawn = point
+            self._reached, self._drawn = reached, [0] * len(last)
+        for m in self._order:
+            self._path(self._canvas, m, self._drawn[m], last[m], 2.0 * self._zoom)
+        self._drawn = list(last)
         image = self._canvas.copy()
         for box in moving:
             draw_moving_box(image, self._view, box, 2.0 * self._zoom)
         self.nodes(image, reached, 8.0 * self._zoom * self.inset_size[0] / 340)
-        self.uav(image, x, 6.0 * self._zoom * self.inset_size[0] / 340)
+        self.uavs(image, xs, 6.0 * self._zoom * self.inset_size[0] / 340)
         return image.crop(self._cut).resize(self.inset_size, Image.Resampling.BOX)
 
 
@@ -145,15 +222,30 @@ def fitted(text: str, letters: ImageFont.FreeTypeFont, width: float) -> str:
 
 
 def pill(
-    draw: ImageDraw.ImageDraw, centre: tuple[float, float], text: str, pixels: int, colour: Colour
-) -> None:
+    draw: ImageDraw.ImageDraw, centre: tuple[float, float], text: str, pixels: int, colour: Colour,
+    fill: Colour = PANEL,
+) -> None:  # fmt: skip
     """Draws a short label on a plate with a coloured rim; its letters have so many pixels."""
     letters = font(pixels, True)
     half = draw.textlength(text, letters) / 2 + 0.6 * pixels
     x, y = centre
     box = (x - half, y - 0.85 * pixels, x + half, y + 0.85 * pixels)
-    draw.rounded_rectangle(box, 0.85 * pixels, PANEL, colour, max(1, pixels // 9))
-    draw.text((x, y), text, WHITE, letters, anchor="mm")
+    draw.rounded_rectangle(box, 0.85 * pixels, fill, colour, max(1, pixels // 9))
+    draw.text((x, y), text, ink(fill), letters, anchor="mm")
+
+
+class FleetRow(NamedTuple):
+    """Holds what a plate says of one UAV: 'UAV 2', 'to item 3', '1 / 4'; the followed one's bold.
+
+    While the shield changes its command, that is shown by the shield's colour.
+    """
+
+    colour: Colour
+    name: str
+    doing: str
+    items: str
+    followed: bool
+    shielded: bool
 
 
 class Hud:
@@ -233,6 +325,40 @@ class Hud:
         draw.text((x, y + 60 * u), f"wind {size:.1f} m/s²", WHITE, font(17 * u), "mm")
         draw.text((x, y + 82 * u), f"to {angle}°", GREY, font(15 * u), "mm")
 
+    def fleet(self, image: Image.Image, rows: Sequence[FleetRow], gap: float) -> None:
+        """Draws a plate at the bottom right: what each UAV does, and the least distance of two.
+
+        Args:
+            image: drawn on. rows: one for each UAV. gap: least distance in m; inf for one UAV.
+        """
+        u, draw = self._unit, ImageDraw.Draw(image, "RGBA")
+        right, bottom = self._settings.size[0] - 20 * u, self._height - 20 * u
+        left, top, step = self.fleet_place(len(rows))
+        draw.rounded_rectangle((left, top, right, bottom), 10 * u, PANEL)
+        letters = font(0.62 * step)
+        for k, row in enumerate(rows):
+            y, chip = top + 10 * u + (k + 0.5) * step, 0.30 * step
+            draw.circle((left + 22 * u, y), chip, row.colour, WHITE, max(1, round(chip / 5)))
+            name = font(0.62 * step, row.followed)
+            draw.text((left + 40 * u, y), row.name, WHITE, name, anchor="lm")
+            room = (FLEET_WIDTH - 118 - 56) * u
+            doing = fitted(row.doing, letters, room)
+            draw.text(
+                (left + 118 * u, y), doing, SHIELD if row.shielded else GREY, letters, anchor="lm"
+            )
+            draw.text((right - 14 * u, y), row.items, WHITE, letters, anchor="rm")
+        if np.isfinite(gap):
+            y = top + 10 * u + (len(rows) + 0.5) * step
+            draw.text((left + 14 * u, y), "closest two", GREY, letters, anchor="lm")
+            draw.text((right - 14 * u, y), f"{gap:.1f} m apart", WHITE, letters, anchor="rm")
+
+    def fleet_place(self, count: int) -> tuple[float, float, float]:
+        """Returns left, top and height of a row of that plate for so many UAVs, in pixels."""
+        u, lines = self._unit, count + (count > 1)
+        step = min(26.0, FLEET_ROOM / lines) * u  # Many UAVs have narrow rows.
+        left, bottom = self._settings.size[0] - (20 + FLEET_WIDTH) * u, self._height - 20 * u
+        return left, bottom - lines * step - 20 * u, step
+
     def card(
         self, image: Image.Image, lines: list[tuple[str, Colour]], scale: float = 1.0,
         share: float = 0.9,
@@ -255,94 +381,6 @@ class Hud:
         draw.rounded_rectangle((20 * u, 20 * u, 68 * u + width, bottom), 12 * u, PANEL)
         for y, text, colour, letters in rows:
             draw.text((44 * u, y), text, colour, letters, anchor="lm")
-
-
-def node_labels(
-    image: Image.Image, progress: Progress, reached: int, view: View, x: Array,
-    blocked: Sequence[Rectangle],
-) -> None:  # fmt: skip
-    """Names what is in sight; rings the target, or points to it where it is out of the picture.
-
-    Args:
-        image: drawn on. progress, reached: what to name. view: the camera.
-        x: (3,) the quadrotor, from which distances are counted.
-        blocked: rectangles in pixels that labels keep out of.
-    """
-    tags, scene = _Tags(image, blocked), progress.scene
-    nodes = range(DEPOT, len(scene.items))
-    points = np.array([scene.point(node) for node in nodes])
-    pixels, depth = view.project(points)
-    seen = segment_clear(np.broadcast_to(view.eye, points.shape), points, scene.tree, 1e-6)
-    states = [progress.state(node, reached) for node in nodes]
-    if "target" in states:
-        k = states.index("target")
-        text = f"{node_name(nodes[k])} · {np.linalg.norm(points[k] - x):.0f} m"
-        radius = scene.tolerance(nodes[k]) / max(depth[k], 1.0) * image.height
-        u, v = pixels[k]
-        if depth[k] > 0 and tags.free(u, v, 0, 0):
-            tags.ring(text, u, v, min(max(14 * tags.unit, radius), image.height / 3))
-        else:
-            tags.point_to(text, pixels[k], behind=depth[k] <= 0)
-    for k, node in enumerate(nodes):
-        near = np.linalg.norm(points[k] - x) < 2 * scene.tolerance(node)  # just left: in the way
-        if states[k] == "target" or near or not seen[k] or not NEAREST < depth[k] < FARTHEST:
-            continue
-        u, v = pixels[k]
-        above = v - scene.tolerance(node) / depth[k] * image.height - 20 * tags.unit
-        if tags.free(u, above, 45, 16):
-            pill(tags.draw, (u, above), node_name(node), round(15 * tags.unit), NODES[states[k]])
-            tags.blocked.append((u - 45 * tags.unit, above - 16 * tags.unit, u + 45 * tags.unit, v))
-
-
-class _Tags:
-    """Draws names on a picture; sizes without a unit are pixels of a picture that is 720 high."""
-
-    def __init__(self, image: Image.Image, blocked: Sequence[Rectangle]) -> None:
-        self.draw, self.size = ImageDraw.Draw(image, "RGBA"), image.size
-        self.unit = image.height / 720
-        self.blocked = list(blocked)
-
-    def free(self, u: float, v: float, half_width: float, half_height: float) -> bool:
-        """Returns whether a label at (u, v) lies in the picture and on no blocked rectangle."""
-        wide, high = half_width * self.unit, half_height * self.unit
-        inside = wide <= u <= self.size[0] - wide and high <= v <= self.size[1] - high
-        return inside and not any(
-            left - wide < u < right + wide and top - high < v < bottom + high
-            for left, top, right, bottom in self.blocked
-        )
-
-    def name_target(self, text: str, u: float, v: float) -> None:
-        """Writes the target's name, which later names keep out of."""
-        wide, high = 100 * self.unit, 18 * self.unit
-        self.blocked.append((u - wide, v - high, u + wide, v + high))
-        pill(self.draw, (u, v), text, round(17 * self.unit), TARGET)
-
-    def ring(self, text: str, u: float, v: float, radius: float) -> None:
-        """Draws a ring round the target, and its name above or below where that is free."""
-        self.draw.circle((u, v), radius, None, TARGET, max(2, round(2.5 * self.unit)))
-        for place in (v - radius - 22 * self.unit, v + radius + 22 * self.unit):
-            if self.free(u, place, 90, 20):
-                self.name_target(text, u, place)
-                break
-
-    def point_to(self, text: str, pixel: Array, behind: bool) -> None:
-        """Names the target and draws an arrow to it, on a ring round the centre of the picture."""
-        centre = np.array(self.size) / 2
-        aim = (pixel - centre) * (-1 if behind else 1)
-        aim = aim / max(float(np.linalg.norm(aim)), 1e-9)
-        side = np.array([-aim[1], aim[0]])
-        places = [
-            centre + reach * self.size[1] * (np.cos(turn) * aim + np.sin(turn) * side) * [1.3, 1.0]
-            for turn in np.radians([0, -25, 25, -50, 50, -80, 80, -120, 120])
-            for reach in np.linspace(0.36, 0.12, 5)
-        ]
-        spot = next((place for place in places if self.free(place[0], place[1], 118, 40)), centre)
-        # The arrow stands beside the text, else above or below it.
-        start = spot + aim * [80 * self.unit, 0.0] if abs(aim[0]) > 0.5 else spot
-        tip, base = start + aim * 34 * self.unit, start + aim * 20 * self.unit
-        wing = side * 10 * self.unit
-        self.draw.polygon([tuple(tip), tuple(base + wing), tuple(base - wing)], TARGET)
-        self.name_target(text, *spot)
 
 
 def draw_moving_box(image: Image.Image, view: View, box: Array, width: float) -> None:

@@ -82,11 +82,7 @@ def plot_path_3d(
     figure = new_figure(12, 10)
     low, high = _window(done, guidance_path)
     axes = axes_3d(figure, (0.0, 0.02, 0.86, 0.93), low, high)
-    draw_boxes_3d(axes, _within(done.scene, low, high, no_fly=False))
-    draw_boxes_3d(axes, _within(done.scene, low, high, no_fly=True), **NO_FLY)
-    for box in moving:
-        axes.plot(*np.array(box.path).T, **WAY)
-        draw_boxes_3d(axes, box.box_at(0.0)[None], **MOVING)
+    draw_scene_3d(axes, done.scene, low, high, moving)
     pieces, by_speed = _pieces(done)
     shadow = pieces * [1, 1, 0] + low * [0, 0, 1]
     axes.add_collection3d(
@@ -121,12 +117,12 @@ def plot_path_top(
     axes = axes_top(figure, (0.075, 0.085, 0.76, 0.83), low, high)
     draw_boxes_top(axes, done.scene)
     draw_moving(axes, moving, 0, 1)
-    _box_heights(axes, done, low, high)
+    box_heights(axes, done.scene, done.trajectory.x[::10, :2], low, high)
     pieces, by_speed = _pieces(done)
     flat = list(pieces[..., :2])
     axes.add_collection(LineCollection(flat, colors="white", linewidth=5.2, zorder=3))
     axes.add_collection(LineCollection(flat, linewidth=3.2, capstyle="round", zorder=4, **by_speed))
-    _arrows(axes, done)
+    arrows(axes, done)
     if guidance_path is not None:
         axes.plot(*guidance_path.T[:2], zorder=4.5, **GUIDANCE)
     side = (high - low)[0]
@@ -169,6 +165,17 @@ def axes_top(figure: Figure, place: Place, low: Array, high: Array) -> Any:
     axes.grid(color="#DDDDDD", linewidth=0.6)
     axes.set_axisbelow(True)
     return axes
+
+
+def draw_scene_3d(
+    axes: Any, scene: Scene, low: Array, high: Array, moving: Sequence[MovingBox]
+) -> None:
+    """Draws boxes and no-fly zones in three dimensions as far as they lie in a window."""
+    draw_boxes_3d(axes, _within(scene, low, high, no_fly=False))
+    draw_boxes_3d(axes, _within(scene, low, high, no_fly=True), **NO_FLY)
+    for box in moving:
+        axes.plot(*np.array(box.path).T, **WAY)
+        draw_boxes_3d(axes, box.box_at(0.0)[None], **MOVING)
 
 
 def _within(scene: Scene, low: Array, high: Array, no_fly: bool) -> Array:
@@ -259,9 +266,11 @@ def _nodes(done: Progress, low: Array, high: Array) -> Iterator[tuple[Array, str
             yield point, label, {**style, "edgecolor": "white", "zorder": 6}
 
 
-def _box_heights(axes: Any, done: Progress, low: Array, high: Array) -> None:
-    """Writes each box's bottom and top where neither path nor items nor other texts are near."""
-    scene, flown = done.scene, done.trajectory.x[::10, :2]
+def box_heights(axes: Any, scene: Scene, flown: Array, low: Array, high: Array) -> None:
+    """Writes each box's bottom and top where neither path nor items nor other texts are near.
+
+    Of the path there are points (N, 2); `low` and `high` (2,) are the window's corners.
+    """
     nodes = np.concatenate([scene.items, scene.depot[None]])[:, :2]
     labels = nodes + np.array([0.0, 0.03]) * (high - low)
     wide = np.array([1 / 3, 1.0]) / (high - low)  # texts are wide: distances count along x a third
@@ -282,8 +291,9 @@ def _box_heights(axes: Any, done: Progress, low: Array, high: Array) -> None:
             taken = np.concatenate([taken, places[best : best + 1] * wide])
 
 
-def _arrows(axes: Any, done: Progress) -> None:
-    """Draws an arrow head at the middle of each segment."""
+def arrows(axes: Any, done: Progress, edge: float = 0.0) -> None:
+    """Draws an arrow head at the middle of each segment, with a white edge of so many points."""
+    about = np.array([0.505, 0.495] if edge else [0.53, 0.47])  # An edge follows the shaft, too.
     rows = [0, *done.rows]
     if not done.complete:
         rows.append(len(done.trajectory) - 1)
@@ -292,10 +302,10 @@ def _arrows(axes: Any, done: Progress) -> None:
         travelled = marks(flown[:, :2])
         if travelled[-1] < 1.0:
             continue
-        ends = interpolate(flown, travelled, np.array([0.53, 0.47]) * travelled[-1])[:, :2]
+        ends = interpolate(flown, travelled, about * travelled[-1])[:, :2]
         axes.annotate("", *ends, zorder=5, annotation_clip=True, arrowprops={
-            "arrowstyle": "-|>,head_length=0.75,head_width=0.42", "color": BLACK, "linewidth": 0,
-            "shrinkA": 0, "shrinkB": 0,
+            "arrowstyle": "-|>,head_length=0.75,head_width=0.42", "facecolor": BLACK,
+            "edgecolor": "white" if edge else BLACK, "linewidth": edge, "shrinkA": 0, "shrinkB": 0,
         })  # fmt: skip
 
 

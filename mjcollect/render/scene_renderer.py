@@ -1,6 +1,6 @@
 """Renders a scene off-screen by MuJoCo, for stills and for the chase view.
 
-Physics is not stepped: the quadrotor is put where the trajectory says, tilted along its thrust.
+Physics is not stepped: quadrotors are put where trajectories say, tilted along their thrust.
 Import this only with MUJOCO_GL set, as mujoco reads it when it is imported.
 """
 
@@ -9,17 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, product
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.arrivals import Progress
 from mjcollect.render.camera import Picture, View
+from mjcollect.render.fleet import FleetProgress
+from mjcollect.render.overlay import node_look, uav_colour
 from mjcollect.render.settings import VideoSettings
-from mjcollect.scene.mjcf import DEPOT_RGBA, ITEM_RGBA, JOINTS, UAV_BODY, build
+from mjcollect.scene.mjcf import DEPOT_RGBA, ITEM_RGBA, build, uav_name
 from mjcollect.scene.order import DEPOT
-from mjcollect.scene.scene import Scene
 
 # Nodes have these colours by `Progress.state`.
 NODES_RGBA = {
@@ -29,48 +30,80 @@ NODES_RGBA = {
     "item": ITEM_RGBA,
 }
 MOVING_RGBA = (0.50, 0.36, 0.86, 1.0)
-UAV_SCALE = 8.0  # The quadrotor, 0.6 m wide in a scene of a kilometre, is enlarged so much.
+ITEM_SHADE = 0.8  # Items shine, so that the colours of UAVs on them must be darker.
+COLLECTED_ALPHA = 0.5  # So opaque is an item in the colour of the UAV that collected it.
 TRAIL_RADIUS = 0.09  # The flown path is a tube of this radius (m).
 FULL_WIDTH = 20.0  # Nearer to the camera than this (m), the path is thinner.
-MAX_TRAIL = 600  # Only so many pieces of the path are shown, to bound the renderer's memory.
+MAX_TRAIL = 600  # Only so many pieces of a path are shown, to bound the renderer's memory.
+LINE_RGBA = (1.0, 1.0, 1.0, 0.35)
 GRAVITY = 9.81  # A hovering quadrotor pushes against this (m/s^2).
 ROTOR_STEP = 0.9  # Rotors turn by this angle (rad) from frame to frame, to look alive.
 # A still is the mean of pictures from places so many pixels beside the camera's.
 SUBPIXELS = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
 
 
+class Pose(NamedTuple):
+    """Holds where a quadrotor is in a picture.
+
+    Attributes:
+        x: (3,) its position in metres. a: (3,) its acceleration in m/s^2, which it tilts for.
+        heading: direction of its nose in radians.
+    """
+
+    x: Array
+    a: Array
+    heading: float
+
+
 class Stage:
     """Shows a compiled scene; call `close` at the end."""
 
-    def __init__(self, scene: Scene, settings: VideoSettings) -> None:
-        """Compiles the scene and opens the renderer."""
-        root = build(scene, visual_scale=UAV_SCALE)
+    def __init__(self, fleet: FleetProgress, settings: VideoSettings) -> None:
+        """Compiles the scene with a quadrotor for each flight, and opens the renderer."""
+        scene, count = fleet.scene, len(fleet.flights)
+        root = build(scene, visual_scale=fleet.uav_scale, uavs=count)
         self.model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
         self.model.vis.quality.offsamples = settings.samples
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = settings.size
         self.data = mujoco.MjData(self.model)
-        self._scene = scene
-        self._body = self.model.body(UAV_BODY).id
-        self._qpos = [int(self.model.joint(name).qposadr[0]) for name in JOINTS]
+        self._scene, self._fleet = scene, fleet
+        # Colours that shine by themselves are paler; those of UAVs are not to be mixed up.
+        self._glow = 0.45 if fleet.is_alone else 0.15
+        names = [uav_name(number, count) for number in range(count)]
+        self._bodies = [self.model.body(f"{name}/uav").id for name in names]
+        self._qpos = [
+            [int(self.model.joint(f"{name}/{axis}").qposadr[0]) for axis in "xyz"] for name in names
+        ]
+        if not fleet.is_alone:
+            for m, name in enumerate(names):
+                self.model.geom(f"{name}/hull").rgba[:3] = np.divide(uav_colour(fleet, m), 255)
         solid = [i for i in range(len(scene.obstacles)) if i not in scene.no_fly]
         self._boxes = [self.model.geom(f"obstacle_{i}").id for i in solid]
         items = [self.model.site(f"item_{i}").id for i in range(len(scene.items))]
         self._sites = {DEPOT: self.model.site("depot").id, **dict(enumerate(items))}
         self._blades = [
-            self.model.geom(f"quadrotor/blade_{corner}").id for corner in ("fl", "fr", "bl", "br")
+            self.model.geom(f"{name}/blade_{corner}").id
+            for name in names
+            for corner in ("fl", "fr", "bl", "br")
         ]
         self._camera = mujoco.MjvCamera()
         self._without_uav = mujoco.MjvOption()
         self._without_uav.geomgroup[2] = 0
-        geoms = self.model.ngeom + self.model.nsite + MAX_TRAIL + 200
+        geoms = self.model.ngeom + self.model.nsite + MAX_TRAIL * count + 200
         width, height = settings.size
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=geoms)
         self.close = self._renderer.close
 
-    def mark(self, progress: Progress, reached: int) -> None:
-        """Colours items and depot for the moment when `reached` targets were reached."""
+    def mark(self, reached: Sequence[int]) -> None:
+        """Colours items and depot for the moment when so many targets were reached, (M,)."""
         for node, site in self._sites.items():
-            self.model.site_rgba[site] = NODES_RGBA[progress.state(node, reached)]
+            state, _ = self._fleet.state(node, reached)
+            rgba: Sequence[float] = NODES_RGBA[state]
+            if not self._fleet.is_alone:
+                alpha = COLLECTED_ALPHA if state == "collected" else 1.0
+                fill = node_look(self._fleet, node, reached).fill
+                rgba = (*np.multiply(fill, ITEM_SHADE / 255), alpha)
+            self.model.site_rgba[site] = rgba
 
     def still(self, view: View) -> Picture:
         """Returns a picture (H, W, 3) uint8 of the whole scene, boxes see-through, no quadrotor.
@@ -103,48 +136,53 @@ class Stage:
             if np.sum(a != b) == 1:  # an edge
                 self._capsule(a, b, 0.8, (0.30, 0.34, 0.38, 0.6))
 
-    def place(self, x: Array, a: Array, heading: float, frame: int) -> None:
-        """Puts the quadrotor where it is in a frame.
+    def place(self, poses: Sequence[Pose], frame: int) -> None:
+        """Puts the quadrotors where they are in a frame.
 
         Args:
-            x: (3,) its position in metres. a: (3,) its acceleration in m/s^2, which it tilts for.
-            heading: direction of its nose in radians.
+            poses: one for each flight.
             frame: number of the frame, from which the rotors' angles follow.
         """
-        rotation = attitude(a, heading)
-        # The slide joints turn with the body, so their positions are world ones turned back.
-        mujoco.mju_mat2Quat(self.model.body_quat[self._body], rotation.ravel())
-        self.data.qpos[self._qpos] = rotation.T @ x
+        for body, qpos, pose in zip(self._bodies, self._qpos, poses, strict=True):
+            rotation = attitude(pose.a, pose.heading)
+            # The slide joints turn with the body, so their positions are world ones turned back.
+            mujoco.mju_mat2Quat(self.model.body_quat[body], rotation.ravel())
+            self.data.qpos[qpos] = rotation.T @ pose.x
         for index, blade in enumerate(self._blades):
-            turn = (1 if index in (0, 3) else -1) * ROTOR_STEP * frame / 2
+            turn = (1 if index % 4 in (0, 3) else -1) * ROTOR_STEP * frame / 2
             self.model.geom_quat[blade] = (np.cos(turn), 0.0, 0.0, np.sin(turn))
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
 
     def chase(
-        self, view: View, trail: Array, colours: Array, goal: Array, moving: Sequence[Array] = ()
-    ) -> Picture:
+        self, view: View, trails: Sequence[tuple[Array, Array]], goal: Array,
+        moving: Sequence[Array] = (),
+    ) -> Picture:  # fmt: skip
         """Returns a picture (H, W, 3) uint8 from the chase camera.
 
         Args:
             view: the camera.
-            trail: (N, 3) flown path up to now; its last MAX_TRAIL pieces are shown.
-            colours: (N - 1, 3) RGB in 0..1 of its pieces.
-            goal: (3,) where the thin straight line from the quadrotor leads.
+            trails: of each flight (N, 3) its path up to now, whose last MAX_TRAIL pieces are shown,
+                and (N - 1, 3) RGB in 0..1 of its pieces.
+            goal: (3,) where the thin straight line from the lead leads.
             moving: (2, 3) corners of each moving box.
         """
         self.model.geom_rgba[self._boxes, 3] = 1.0
         self._aim(view, None)
+        for trail, colours in trails:
+            self._trail(view, trail, colours)
+        self._capsule(trails[self._fleet.lead][0][-1], goal, 0.12, LINE_RGBA, emission=0.5)
+        for box in moving:
+            self._box(box)
+        return self._renderer.render()
+
+    def _trail(self, view: View, trail: Array, colours: Array) -> None:
         first = max(0, len(trail) - 1 - MAX_TRAIL)
         for a, b, colour in zip(trail[first:-1], trail[first + 1 :], colours[first:], strict=True):
             # Thinner near the camera, which the path may pass closely; never under a pixel afar.
             away = float(np.linalg.norm(a - view.eye))
             radius = max(TRAIL_RADIUS * min(1.0, away / FULL_WIDTH), away / view.size[1])
-            self._capsule(a, b, radius, (*colour, 1.0), emission=0.45)
-        self._capsule(trail[-1], goal, 0.12, (1.0, 1.0, 1.0, 0.35), emission=0.5)
-        for box in moving:
-            self._box(box)
-        return self._renderer.render()
+            self._capsule(a, b, radius, (*colour, 1.0), emission=self._glow)
 
     def _aim(self, view: View, option: mujoco.MjvOption | None) -> None:
         offset = view.target - view.eye

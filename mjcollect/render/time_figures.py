@@ -21,7 +21,7 @@ from mjcollect.scene.order import DEPOT, node_name
 DPI = 120
 # This is Okabe and Ito's palette, which the colour-blind can tell apart.
 BLUE, ORANGE, GREEN, RED, PURPLE = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7"
-SKY, BLACK = "#56B4E9", "#222222"
+SKY, YELLOW, BLACK = "#56B4E9", "#F0E442", "#222222"
 LABEL: dict[str, Any] = {"size": 11, "color": BLACK}
 # The learning figure has four panels and, at the right edge of the last, a second axis.
 PANELS = ("episode return", "share", "time (s)", "critic loss", "actor loss")

@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from mjcollect.flight.disturbance import REST_SPEED as DISTURBED_REST
 from mjcollect.render.arrivals import REST_SPEED, progress
+from mjcollect.render.fleet import FleetProgress, load_fleet
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.file_format import SceneError
@@ -41,7 +42,9 @@ class RenderError(RuntimeError):
 
 
 def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = None) -> Path:
-    """Writes the video of a run folder, segment.mp4 or mission.mp4, with a progress bar on stderr.
+    """Writes the video of a run folder, with a progress bar on stderr.
+
+    It is fleet.mp4, segment.mp4 or mission.mp4.
 
     MUJOCO_GL must have been set before mujoco was imported. A flight that ended early is shown as
     far as it goes; times in which the shield acted are marked.
@@ -57,21 +60,17 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
         RenderError: the folder is not a readable run, or no video could be made.
     """
     folder = Path(folder)
-    kind = next((k for k in ("segment", "mission") if (folder / f"{k}.json").is_file()), None)
+    kinds = ("fleet", "segment", "mission")
+    kind = next((k for k in kinds if (folder / f"{k}.json").is_file()), None)
     if kind is None:
         raise RenderError(
-            f"{folder}: holds neither segment.json nor mission.json; name the folder of a "
-            "finished run (python -m train.segment or train.mission makes one)"
+            f"{folder}: holds neither segment.json nor mission.json nor fleet.json; name the "
+            "folder of a finished run (python -m train.segment or train.mission makes one)"
         )
     try:
-        scene = Scene.load(folder / "scene.json")
-        trajectory = Trajectory.load(folder / "trajectory.csv")
-        shielded = load_shield(folder / SHIELD_FILE)
         result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
-        segment = result["segment"] if kind == "segment" else None
         air = Air.load(folder / AIR_FILE) if (folder / AIR_FILE).is_file() else None
-        rest = REST_SPEED if air is None else DISTURBED_REST
-        done = progress(scene, trajectory, list(result["order"]), segment, rest)
+        fleet = load_fleet(folder) if kind == "fleet" else _single(folder, kind, result, air)
         caption = _caption(result)
     except (OSError, SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise RenderError(
@@ -89,9 +88,9 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
     from mjcollect.render.frames import Film
 
     # In quarters, so that the speed that is written on the frames is short.
-    speed = max(1.0, math.ceil(4 * trajectory.duration / LONGEST) / 4)
+    speed = max(1.0, math.ceil(4 * fleet.duration / LONGEST) / 4)
     settings = replace(settings or VideoSettings(), speed=speed, caption=caption)
-    film = Film(done, settings, np.reshape(shielded, (-1, 2)), air)
+    film = Film(fleet, settings, air)
     path, part = folder / f"{kind}.mp4", folder / f".{kind}.part.mp4"
     try:
         with (
@@ -155,6 +154,16 @@ def gl_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return chosen
 
 
+def _single(folder: Path, kind: str, result: dict[str, Any], air: Air | None) -> FleetProgress:
+    """Reads the one flight of a segment's or mission's run folder."""
+    scene = Scene.load(folder / "scene.json")
+    trajectory = Trajectory.load(folder / "trajectory.csv")
+    segment = result["segment"] if kind == "segment" else None
+    rest = REST_SPEED if air is None else DISTURBED_REST
+    flown = progress(scene, trajectory, list(result["order"]), segment, rest)
+    return FleetProgress.alone(flown, np.reshape(load_shield(folder / SHIELD_FILE), (-1, 2)))
+
+
 def _check_gl() -> None:
     """Opens and closes a small renderer: the film's own faults are no lack of GL."""
     try:
@@ -175,9 +184,12 @@ def _caption(result: dict[str, Any]) -> str | None:
     """Returns the headline of an unsuccessful run; None if it succeeded."""
     if result.get("success") or not result.get("violations"):
         return None
-    first = result["violations"][0]
+    # Those of a fleet are in order for each UAV only.
+    first = min(result["violations"], key=lambda each: float(each.get("t") or 0.0))
     when = "" if first.get("t") is None else f" at {float(first['t']):.2f} s"
-    return f"{str(first['kind']).upper()}{when}"
+    whose = first.get("uavs", [first["uav"]] if "uav" in first else [])
+    who = " and ".join(f"UAV {number}" for number in whose)
+    return f"{who}{': ' if who else ''}{str(first['kind']).upper()}{when}"
 
 
 def _line(error: BaseException) -> str:

@@ -119,9 +119,7 @@ def let_boxes_sleep(model: mujoco.MjModel) -> None:
     model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
 
 
-def _add_quadrotor(
-    root: mjcf.RootElement, scene: Scene, visual_scale: float, name: str
-) -> None:
+def _add_quadrotor(root: mjcf.RootElement, scene: Scene, visual_scale: float, name: str) -> None:
     quadrotor = mjcf.from_path(str(asset_path("quadrotor.xml")))
     quadrotor.model = name
     quadrotor.find("geom", "body").size = (scene.uav_radius,)

@@ -35,8 +35,8 @@ FULL = Disturbance(wind=5.0, gusts=2.5, gain=0.25, delay=0.1, noise=0.5)
 def world_of(boxes=NOWHERE):
     return World(
         np.array([[[-500.0] * 3, [500.0] * 3]]), *in_one_leaf(np.asarray(boxes, float)),
-        np.array([[50.0]]), np.array([[A_MAX]]), np.array([[0.5]]), np.ones((1, 1)), np.array([[2.0]]),
-        SLOT, 0.02, 10,
+        np.array([[50.0]]), np.array([[A_MAX]]), np.array([[0.5]]), np.ones((1, 1)),
+        np.array([[2.0]]), SLOT, 0.02, 10,
     )  # fmt: skip
 
 

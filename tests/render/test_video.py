@@ -19,7 +19,8 @@ from PIL import Image
 from mjcollect.render import overlay
 from mjcollect.render.arrivals import progress
 from mjcollect.render.camera import View, chase_eyes, clear_distance, framing
-from mjcollect.render.overlay import node_labels
+from mjcollect.render.fleet import FleetProgress
+from mjcollect.render.labels import name_all
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.video import RenderError, render_in_child, render_run
 from mjcollect.scene.assets import asset_path
@@ -223,7 +224,7 @@ def test_labels_stay_in_the_picture_and_out_of_the_panels(
     view = View(x - distance * aim, x, 55.0, (640, 360))
     blocked = [(400.0, 0.0, 640.0, 200.0), (0.0, 260.0, 200.0, 360.0), (0.0, 0.0, 230.0, 55.0)]
     image = Image.new("RGB", (640, 360))
-    node_labels(image, done, 0, view, x, blocked)
+    name_all(image, FleetProgress.alone(done), (0,), view, x[None], blocked)
     pixels = np.asarray(image)
     assert pixels.any()
     # Plates and letters; the target's ring may reach below a panel.

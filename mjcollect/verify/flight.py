@@ -10,10 +10,8 @@ not excuse itself here. It reads nothing but the rows.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,7 +22,6 @@ from scipy.ndimage import find_objects, label
 from scipy.spatial import KDTree
 
 from mjcollect.scene.air import AIR_FILE, Air
-from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
@@ -298,29 +295,3 @@ def _piece_to_box(start: Array, step: Array, low: Array, high: Array) -> Array:
         left, right = np.where(falling, middle, left), np.where(falling, right, middle)
     at = start + right[:, None] * step
     return np.asarray(np.linalg.norm(at - np.clip(at, low, high), axis=1))
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Runs the command line; returns 0, 1 if the flight breaks a rule, or 2 if there is none."""
-    parser = argparse.ArgumentParser(
-        prog="python -m mjcollect.verify",
-        description="Judges the flight in a run folder: limits, bounds, contact, stops, order.",
-        usage=argparse.SUPPRESS,  # errors in one line
-    )
-    parser.add_argument("run", type=Path, help="Folder of a finished segment or mission.")
-    args = parser.parse_args(argv)
-    try:
-        found = verify_run(args.run)
-    except (OSError, SceneError, ValueError, KeyError) as error:
-        print(f"error: {args.run}: holds no finished run ({error})", file=sys.stderr)
-        return 2
-    for each in found:
-        value = "no number" if each.value is None else f"{each.value:.6g}"
-        where = f"at {each.t:.2f} s in segment {each.segment}"
-        print(f"{each.kind}: {value} {where}, limit {each.limit:.6g}")
-    print(f"{len(found)} rules broken" if found else "no rule is broken")
-    return 1 if found else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""This room holds what `train.fly` and `train.mission` do with several UAVs."""
