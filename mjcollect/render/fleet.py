@@ -89,7 +89,7 @@ class FleetProgress:
         """Returns by how much quadrotors are enlarged; two that keep apart never touch."""
         return min(UAV_SCALE, max(1.0, float(self.gaps.min()) / UAV_WIDTH))
 
-    @property
+    @cached_property
     def lead(self) -> int:
         """Returns the index 0..M-1 of the flight that takes longest, which is followed."""
         return int(np.argmax([flown.trajectory.duration for flown in self.flights]))

@@ -275,7 +275,7 @@ class Film:
         for m, (flown, track) in enumerate(zip(self._fleet.flights, self._tracks, strict=True)):
             doing = f"to {node_name(flown.goal(reached[m]))}"
             if self._t[frame] >= flown.trajectory.t[-1] - 1e-9:
-                doing = "home" if flown.complete else "flight ended"
+                doing = "home" if flown.complete else "ended"
             items = f"{len(flown.collected(reached[m]))} / {len(flown.order)}"
             shield = bool(track.shields[frame])
             colour, name = uav_colour(self._fleet, m), self._fleet.name(m)

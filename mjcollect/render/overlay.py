@@ -21,7 +21,6 @@ from mjcollect.scene.order import DEPOT
 from mjcollect.scene.scene import Scene
 
 Colour = tuple[int, ...]
-Rectangle = tuple[float, float, float, float]  # left, top, right, bottom in pixels
 SPEED_MAP = "viridis"  # The colour-blind can read this colour map of matplotlib, also in grey.
 WHITE: Colour = (255, 255, 255)
 GREY: Colour = (190, 198, 206)

@@ -68,7 +68,9 @@ def finished_fleet(run: Path, scene: Scene) -> tuple[Sharing, int]:
     """
     result = RunFolder(run).read_json("fleet.json")
     if result is None:
-        raise RunError(f"--run: {run}: holds no fleet.json; leave --uavs out to fly a mission again")
+        raise RunError(
+            f"--run: {run}: holds no fleet.json; leave --uavs out to fly a mission again"
+        )
     tours = tuple(tuple(mission["items"]) for mission in result["missions"])
     return Sharing(scene, result["uavs"], tours, courses(scene, tours)), result["seed"]
 

@@ -12,7 +12,7 @@ from mjcollect.envs.course import Course
 from mjcollect.fleet.flight import FleetFlight
 from mjcollect.planners.assignment import Tours
 from mjcollect.planners.fleet_bound import fleet_bound
-from mjcollect.render.fleet import load_fleet
+from mjcollect.render.fleet import FlownPart, fleet_progress
 from mjcollect.render.fleet_figures import (
     plot_fleet_path_3d,
     plot_fleet_path_top,
@@ -20,6 +20,7 @@ from mjcollect.render.fleet_figures import (
 )
 from mjcollect.scene.order import MAX_EXACT
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.trajectory import shield_intervals
 from mjcollect.verify import least_gaps, verify_separation
 from train.support.markdown import markdown_table
 from train.support.mission_report import film, mission_result, write_mission
@@ -55,8 +56,8 @@ class Sharing:
 def write_fleet(
     folder: RunFolder, sharing: Sharing, flown: FleetFlight, planner: str, seed: int,
     trained: Sequence[Sequence[dict[str, Any] | None]], *, plots: bool,
-) -> dict[str, Any]:  # fmt: skip
-    """Writes each UAV's mission, the plots if they are wanted, and last fleet.json; returns it.
+) -> None:  # fmt: skip
+    """Writes each UAV's mission, the plots if they are wanted, and last fleet.json.
 
     Args:
         trained: the segment.json of each UAV's segments, None where nothing was trained.
@@ -85,6 +86,7 @@ def write_fleet(
             }
         )
     tracks = [flight.trajectory for flight in flown.flights]
+    violations.sort(key=lambda entry: entry["t"])
     violations += [encounter.to_dict() for encounter in verify_separation(scene, tracks)]
     pairs = [least_gaps(one, two).min() for k, two in enumerate(tracks) for one in tracks[:k]]
     success = flown.success and not violations
@@ -106,13 +108,18 @@ def write_fleet(
         "seed": seed,
         "versions": versions(),
     }
-    folder.write_json("fleet.json", document)
     if plots:
-        fleet = load_fleet(folder.path)
+        shown = [
+            FlownPart(
+                course.scene, flight.trajectory, shield_intervals(flight.shielded, flight.slot)
+            )
+            for course, flight in zip(sharing.courses, flown.flights, strict=True)
+        ]
+        fleet = fleet_progress(scene, document, shown)
         folder.write("path_3d.png", lambda part: plot_fleet_path_3d(part, fleet))
         folder.write("path_top.png", lambda part: plot_fleet_path_top(part, fleet))
         folder.write("schedule.png", lambda part: plot_schedule(part, fleet))
-    return document
+    folder.write_json("fleet.json", document)
 
 
 def finish_fleet(folder: RunFolder, *, video: bool, plots: bool, notes: Sequence[str] = ()) -> int:
@@ -134,7 +141,7 @@ def fleet_report(folder: Path, result: dict[str, Any], plots: bool, notes: Seque
     if result["success"]:
         lines.append(
             f"**Success**: {items} items, the last UAV home after **{result['makespan']:.1f} s**, "
-            f"{result['ratio']:.3f} of the lower bound of {result['lower_bound']:.1f} s "
+            f"{ratio(result)} of the lower bound of {result['lower_bound']:.1f} s "
             f"({result['bound_method']})."
         )
     else:
@@ -191,6 +198,11 @@ def describe(violation: dict[str, Any]) -> str:
     return f"{violation['kind']} of {names} at {violation['t']:.2f} s{value} {limit}"
 
 
+def ratio(result: dict[str, Any]) -> str:
+    """Returns the makespan over the lower bound, as 1.042; a dash where the bound is 0."""
+    return "-" if result["ratio"] is None else f"{result['ratio']:.3f}"
+
+
 def fleet_outcome(result: dict[str, Any], folder: Path) -> str:
     """Says the result in one line, for the user."""
     where = os.path.relpath(folder)
@@ -201,5 +213,5 @@ def fleet_outcome(result: dict[str, Any], folder: Path) -> str:
     items = sum(len(mission["items"]) for mission in result["missions"])
     return (
         f"success: {items} items by {len(result['missions'])} UAVs in {result['makespan']:.1f} s, "
-        f"{result['ratio']:.3f} of the lower bound: {where}"
+        f"{ratio(result)} of the lower bound: {where}"
     )
