@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,12 +22,15 @@ import tyro
 
 from benchmarks.common import Output, Row, grouped, in_processes, load_rows, print_table, save
 from mjcollect.envs.episode import Rules
+from mjcollect.fleet.episode import courses
 from mjcollect.fleet.flight import FleetFlight, fly_fleet
 from mjcollect.generate import generate
+from mjcollect.guidance.travel_times import travel_times
 from mjcollect.learning.policy import SHIPPED, TrainedPolicy, weights_file
+from mjcollect.planners.assignment import assign, makespan
 from mjcollect.planners.fleet_bound import fleet_bound
 from mjcollect.verify import least_gaps, verify, verify_separation
-from train.fleets.fly import pilot_of, share_scene
+from train.fleets.fly import pilot_of
 from train.fleets.report import Sharing
 
 FIRST = 700_000  # no other benchmark and no training draws these scenes
@@ -78,45 +82,50 @@ def flown_by(sharing: Sharing, planner: str, policies: list[TrainedPolicy]) -> F
     return fly_fleet(sharing.courses, pilot, Rules(observation))
 
 
-def measure(file: Path, job: tuple[str, int, int, int, str]) -> Row:
-    """Returns how a scene was flown by a fleet, and by each UAV without the others."""
-    layout, number, items, uavs, planner = job
-    scene = generate(FIRST + number, items, layout=layout)
-    policies = [TrainedPolicy.load(file)] if planner == "policy" else []
-    begun = time.perf_counter()
-    sharing = share_scene(scene, uavs, seed=0)
-    shared, begun = time.perf_counter() - begun, time.perf_counter()
+def measure(
+    file: Path, uavs: Sequence[int], job: tuple[str, int, int, tuple[str, ...]]
+) -> list[Row]:
+    """Returns how a scene was flown by fleets of several sizes and by several pilots."""
+    layout, number, items, planners = job
+    scene, rows = generate(FIRST + number, items, layout=layout), []
+    cost = travel_times(scene)
+    for count in uavs:
+        begun = time.perf_counter()
+        tours = tuple(tour for tour in assign(cost, count) if tour)
+        about: Row = {"layout": layout, "scene": number, "items": items, "uavs": count}
+        about["seconds_assignment"] = time.perf_counter() - begun
+        about["assigned"] = makespan(cost, tours)
+        about["lower_bound"], about["bound_method"] = fleet_bound(scene, count)
+        sharing = Sharing(scene, count, tours, courses(scene, tours))
+        for planner in planners:
+            policies = [TrainedPolicy.load(file)] if planner == "policy" else []
+            rows.append({**about, "pilot": planner, **compare(sharing, planner, policies)})
+    return rows
+
+
+def compare(sharing: Sharing, planner: str, policies: list[TrainedPolicy]) -> Row:
+    """Returns how a fleet flew, and how its UAVs fly without the others."""
     flown = flown_by(sharing, planner, policies)
-    seconds = time.perf_counter() - begun
     tracks = [flight.trajectory for flight in flown.flights]
     gaps = [float(least_gaps(one, two).min()) for k, two in enumerate(tracks) for one in tracks[:k]]
     alone = [
-        flown_by(Sharing(scene, 1, (tour,), (course,)), planner, policies)
+        flown_by(Sharing(sharing.scene, 1, (tour,), (course,)), planner, policies)
         for tour, course in zip(sharing.tours, sharing.courses, strict=True)
     ]
-    success = flown.success and not verify_separation(scene, tracks)
+    success = flown.success and not verify_separation(sharing.scene, tracks)
     for course, track in zip(sharing.courses, tracks, strict=True):
         success = success and not verify(course.scene, track, range(len(course.scene.items)))
     each = [flight.makespan for flight in alone] if all(f.success for f in alone) else []
-    times = [track.duration for track in tracks]
     return {
-        "layout": layout,
-        "scene": number,
-        "items": items,
-        "uavs": uavs,
-        "pilot": planner,
         "success": success,
         "ended": flown.ended,
         "makespan": flown.makespan,
         "alone": max(each, default=None),
-        "times": times,
+        "times": [track.duration for track in tracks],
         "times_alone": each,
-        "lower_bound": fleet_bound(scene, uavs)[0],
         "nearest": min(gaps, default=None),
         "shielded": statistics.mean(flight.shield_share for flight in flown.flights),
         "made_room": statistics.mean(flown.made_room),
-        "seconds_sharing": shared,
-        "seconds_flight": seconds,
     }
 
 
@@ -167,14 +176,12 @@ def main(args: Args) -> None:
         uavs = tuple(range(1, 9))
     if args.sweep:
         uavs, items, scenes = (1, 2, 3), 8, scenes[: args.floating]
-    jobs = [
-        (*scene, items, m, planner) for planner in args.planners for m in uavs for scene in scenes
-    ]
     rows = load_rows(args.out)
-    there = {(r["layout"], r["scene"], r["items"], r["uavs"], r["pilot"]) for r in rows}
-    work = partial(measure, weights_file(args.policy))
-    for row in in_processes(work, [job for job in jobs if job not in there], args.workers):
-        rows.append(row)
+    there = {(row["layout"], row["scene"]) for row in rows}
+    jobs = [(*scene, items, args.planners) for scene in scenes if scene not in there]
+    work = partial(measure, weights_file(args.policy), uavs)
+    for found in in_processes(work, jobs, args.workers):
+        rows += found
         save(args.out, {"results": rows, "summary": summary(rows)}, args)
     print_table(summary(rows), COLUMNS)
 
