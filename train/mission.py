@@ -2,7 +2,8 @@
 
 python -m train.mission --scene FILE --out DIR --workers 2
 
-Learning goes on from the shipped policy, or with --policy none from nothing, as in the paper.
+Learning goes on from the shipped policy, or with --policy none from nothing, as in the paper. With
+--uavs 3 three UAVs share the items, and fly what each has learned at the same time.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_
 from mjcollect.scene.order import order_label, plan_order
 from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
+from train.fleets.fly import check_fleet, fleet_policies, fly_by_policies, share_scene
+from train.fleets.report import Sharing, finish_fleet, write_fleet
 from train.jobs.processes import warm_up
 from train.jobs.workers import (
     Done,
@@ -57,6 +60,8 @@ class Args(TrainingArgs):
     cost: Literal["distance", "time"] = "distance"
     """Makes the orders lkh and exact minimise the straight distance (distance, as in the paper) or
     the least time round the boxes (time)."""
+    uavs: int = 1
+    """Shares the items among so many UAVs, which fly at the same time."""
     workers: int = 2
     """Sets the number of local processes that train segments side by side."""
     ray: str | None = None
@@ -81,6 +86,8 @@ def train_mission(args: Args) -> int:
     check_still(scene)
     check_place(scene.origin)
     args, policy = _begin_from(args)
+    if args.uavs > 1:
+        return _train_fleet(args, scene, policy)
     cost = None
     if args.cost == "time" and args.order in ("lkh", "exact"):
         from mjcollect.guidance.travel_times import travel_times
@@ -88,23 +95,8 @@ def train_mission(args: Args) -> int:
         cost = travel_times(scene)
     order = plan_order(scene, args.order, seed=args.seed, cost=cost)
     method = order_label(args.order) + ("-time" if cost is not None else "")
-    config = {
-        "program": "train.mission",
-        "scene": scene.name,
-        "order": list(order),
-        "order_method": method,
-        "seed": args.seed,
-        "device": args.device,
-        "preset": args.preset,
-        "slot": args.slot,
-        "policy": None if policy is None else policy_digest(args.policy),
-        "retries": args.retries,
-        "learn": dataclasses.asdict(args.learn),
-    }
-    how = [args.preset] if args.preset else ["scratch"] if args.policy == NO_POLICY else []
-    folder = RunFolder(
-        args.out or default_folder("mission", scene.slug, args.order, *how, f"seed{args.seed}")
-    )
+    config = _config(args, scene, {"order": list(order), "order_method": method})
+    folder = _folder(args, scene, args.order)
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("mission.json") is not None:
         return _finish(folder, args, len(order) + 1)
@@ -141,8 +133,98 @@ def train_mission(args: Args) -> int:
     return _finish(folder, args, len(order) + 1)
 
 
+def _config(args: Args, scene: Scene, visited: dict[str, object]) -> dict[str, object]:
+    """Returns the document of config.json; `visited` says who visits what."""
+    return {
+        "program": "train.mission",
+        "scene": scene.name,
+        **visited,
+        "seed": args.seed,
+        "device": args.device,
+        "preset": args.preset,
+        "slot": args.slot,
+        "policy": None if args.policy == NO_POLICY else policy_digest(args.policy),
+        "retries": args.retries,
+        "learn": dataclasses.asdict(args.learn),
+    }
+
+
+def _folder(args: Args, scene: Scene, visited: str) -> RunFolder:
+    """Returns the run's folder, by default one named by how it was made."""
+    how = [args.preset] if args.preset else ["scratch"] if args.policy == NO_POLICY else []
+    names = [scene.slug, visited, *how, f"seed{args.seed}"]
+    return RunFolder(args.out or default_folder("mission", *names))
+
+
+def _train_fleet(args: Args, scene: Scene, policy: TrainedPolicy | None) -> int:
+    """Shares the items, learns every UAV's segments, flies all at once; returns the exit code.
+
+    Raises:
+        RunError, SceneError, TourError, GuidanceError: the arguments are wrong; nothing is written.
+    """
+    check_fleet(args.uavs, scene, {}, args.order)
+    say(f"sharing {len(scene.items)} items among {args.uavs} UAVs")
+    sharing = share_scene(scene, args.uavs, args.seed)
+    config = _config(args, scene, {"uavs": args.uavs, "tours": [list(t) for t in sharing.tours]})
+    folder = _folder(args, scene, f"{args.uavs}uavs")
+    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    if not (args.resume and folder.read_json("fleet.json") is not None):
+        if args.resume:
+            folder.check_scene(scene, args.scene)
+        if args.ray is None:
+            warm_up()
+        else:
+            connect_ray(args.ray)
+        if policy is not None:
+            check_size(policy, sharing.courses[0])
+        folder.create(config, scene, overwrite=args.overwrite)
+        try:
+            if not _learn_fleet(args, folder, sharing):
+                say("stopped, saved; go on with --resume")
+                return INTERRUPTED
+            policies = fleet_policies(folder.path, sharing)
+            flown, _, _ = fly_by_policies(
+                sharing, policies, None, shield=args.learn.shield, explore=True
+            )
+            trained = [
+                [sharing.folder(folder, uav).segment(k).read_json("segment.json") for k in range(n)]
+                for uav, n in enumerate(len(course.guidance) for course in sharing.courses)
+            ]
+            write_fleet(folder, sharing, flown, "policy", args.seed, trained, plots=args.plots)
+        except TrainingError as error:
+            say(f"error: {error}; when mended, go on with --resume")
+            return 1
+        finally:
+            folder.unlock()
+    notes = [
+        f"UAV {uav}: {note}"
+        for uav, course in enumerate(sharing.courses)
+        for note in _notes(sharing.folder(folder, uav), len(course.guidance))
+    ]
+    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+
+
+def _learn_fleet(args: Args, folder: RunFolder, sharing: Sharing) -> bool:
+    """Trains every segment of every UAV that is not trained yet; False if Ctrl-C stopped it.
+
+    Raises:
+        TrainingError: a training ended with an error.
+    """
+    for uav, course in enumerate(sharing.courses):
+        own, order = sharing.folder(folder, uav), tuple(range(len(course.scene.items)))
+        own.path.mkdir(parents=True, exist_ok=True)
+        own.write("scene.json", course.scene.save)
+        course.save_guidance(own.path / "guidance")
+        say(f"UAV {uav}: items {list(sharing.tours[uav])}, {len(order) + 1} segments")
+        seeded = dataclasses.replace(args, seed=attempt_seed(args.seed, uav, 0), video=False)
+        if not _learn(seeded, own, course.scene, order):
+            return False
+        shutil.rmtree(own.path / "guidance", ignore_errors=True)
+    return True
+
+
 def _check(args: Args) -> None:
-    check_least(args, seed=0, workers=1, retries=0, checkpoint_every=1)
+    check_least(args, seed=0, uavs=1, workers=1, retries=0, checkpoint_every=1)
     check_device(args.device)
     if args.ray is not None and args.policy not in (NO_POLICY, SHIPPED):
         raise RunError(
