@@ -9,9 +9,13 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import path_length, tighten
 from mjcollect.guidance.aim import feasible_aim, place
 from mjcollect.guidance.distance_field import DistanceField, way_down
-from mjcollect.guidance.guidance import COARSE, Guidance
+from mjcollect.guidance.guidance import COARSE, WIDE, Guidance
 from mjcollect.scene.bounds import leg_time
 from mjcollect.scene.scene import Scene
+
+# A field with more nodes takes seconds; a wider one, in a cube a fifteenth of that. Paths are
+# tightened, so that times differ by 0.1% in the mean among 20 floating boxes and 0.4% in a city.
+MOST_NODES = 250_000
 
 
 def travel_times(scene: Scene) -> Array:
@@ -28,12 +32,15 @@ def travel_times(scene: Scene) -> Array:
     points = np.array([place(scene, node) for node in nodes])  # items may be too near to a wall
     length = np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
     clear = segment_clear(points[:, None], points[None], scene.tree, scene.reach)
+    sides = scene.bounds[1] - scene.bounds[0]
+    nodes_of_coarse = np.prod(np.ceil(sides / sides.max() * COARSE) + 1)
+    cells = COARSE if nodes_of_coarse <= MOST_NODES else WIDE
     for to in range(1, len(nodes)):
         blocked = np.flatnonzero(~clear[:to, to])
         if len(blocked) == 0:
             continue
         aim = feasible_aim(scene, points[to], scene.tolerance(nodes[to]))
-        field = DistanceField(scene, aim, COARSE, crowding=0.0)
+        field = DistanceField(scene, aim, cells, crowding=0.0)
         for start in blocked:
             if field.entry(points[start]) is None:
                 way = Guidance(scene, nodes[to], points[start]).length
