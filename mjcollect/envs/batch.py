@@ -25,11 +25,13 @@ from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
 from mjcollect.flight.contact import may_touch_rows
 from mjcollect.flight.disturbance import Disturbances
+from mjcollect.flight.separation import clashes
 from mjcollect.geometry.compiled import Array, Bools, Indices, plain
 from mjcollect.scene.mjcf import build, compile_model, let_boxes_sleep
 from mjcollect.scene.scene import Scene
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+REDRAWS = 20  # Starts too near to other UAVs are drawn anew so often at most.
 FLAGS = ("done", "terminated", "truncated", "success", "crashed", "shielded")
 
 
@@ -109,14 +111,25 @@ class Simulations:
         which = np.arange(self.count) if chosen is None else chosen
         if len(which) == 0:
             return
+        q, v = self._starts(which)
+        for _ in range(REDRAWS if self.uavs > 1 else 0):  # UAVs of a fleet do not start in a crash.
+            whole_q, whole_v = self.episodes.truth.copy(), self.episodes.v.copy()
+            whole_q[which], whole_v[which] = q, v
+            clash = clashes(self.episodes.world, self.uavs, whole_q, whole_v)[which]
+            if not clash.any():
+                break
+            q[clash], v[clash] = self._starts(which[clash])
+        self.place(which, q, v)
+
+    def _starts(self, which: Indices) -> tuple[Array, Array]:
+        """Draws positions (m) and velocities (m/s), each (n, 3), at which flights `which` start."""
         courses = self.episodes.targets.courses
         if len(courses) == 1:
-            q, v = courses[0].starts(self.start, len(which), self.rng)
-        else:
-            drawn = [self.episodes.course(i).starts(self.start, 1, self.rng) for i in which]
-            q = np.concatenate([pair[0] for pair in drawn])
-            v = np.concatenate([pair[1] for pair in drawn])
-        self.place(which, q, v)
+            return courses[0].starts(self.start, len(which), self.rng)
+        drawn = [self.episodes.course(i).starts(self.start, 1, self.rng) for i in which]
+        return np.concatenate([pair[0] for pair in drawn]), np.concatenate(
+            [pair[1] for pair in drawn]
+        )
 
     def place(self, which: Indices, q: Array, v: Array) -> None:
         """Begins episodes at q, v (n, 3) in m and m/s in the simulations `which` (n,)."""

@@ -16,6 +16,7 @@ from mjcollect.envs.observation import (
     FRAMED,
     OBSERVATIONS,
     SHOW_DISTURBANCES,
+    SHOW_OTHERS,
     Parts,
     State,
     places,
@@ -29,7 +30,7 @@ from mjcollect.flight.disturbance import REST_SPEED, Disturbances
 from mjcollect.flight.disturbance_estimate import Estimate
 from mjcollect.flight.disturbed_shield import Margins, disturbed_shield
 from mjcollect.flight.moving_boxes import SHOWN, SOON, STEPS
-from mjcollect.flight.separation import too_near
+from mjcollect.flight.separation import others_seen, too_near
 from mjcollect.flight.shield import shield
 from mjcollect.flight.world import World
 from mjcollect.geometry.compiled import Array, Bools, Indices
@@ -329,7 +330,7 @@ class Episodes:
         """Returns the observation's named parts, each (N, d), or only their rows `which` (n,)."""
         state = State(
             self.q, self.seen_v, self.approach, self.targets.items, self.collected, self.known,
-            self.asked, self._movers, self._met(),
+            self.asked, self._movers, self._met(), self._others(),
         )  # fmt: skip
         if which is None:
             return self._observation(self.seen_world, state)
@@ -342,6 +343,11 @@ class Episodes:
             return np.zeros((self.count, SHOWN, 2, 4))
         ways = places(self.seen_world, self.q, self.seen_v, self.approach, STEPS)
         return self.disturbances.movers.met(ways)
+
+    def _others(self) -> Array:
+        """Returns what `others_seen` shows of each UAV's fleet."""
+        uavs = self.uavs if self.rules.observation in SHOW_OTHERS else 1
+        return others_seen(self.seen_world, uavs, self.q, self.seen_v)
 
     @property
     def next_cost(self) -> Array:

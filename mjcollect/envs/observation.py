@@ -2,7 +2,8 @@
 
 `guided`, the environments' default, works for any number of boxes and items. `path`, from which
 policies learn by default, is the same in the frame of the path, and so are the actions. `robust`
-adds to `path` what is known of disturbances, and moving boxes. `paper` is the state
+adds to `path` what is known of disturbances, and moving boxes; `fleet` adds the other UAVs to it.
+`paper` is the state
 S = {q, v, l, m, p} of the paper's section IV-B. All return named parts, each (N, d), in order.
 """
 
@@ -53,7 +54,8 @@ class State(NamedTuple):
         q, v: (N, 3) positions (m), velocities (m/s). approach: the way to the current target.
         items: (N, K, 3) m, padded with points far away. collected: (N, K) flags.
         known: what is known of disturbances. asked: (N,) share of its margin that the shield asks
-            for. movers: (N, ...) what `MovingBoxes.seen` shows.
+            for. movers: (N, ...) what `MovingBoxes.seen` shows. met: (N, ...) what its `met` shows.
+        others: (N, ...) what `separation.others_seen` shows.
     """
 
     q: Array
@@ -65,12 +67,13 @@ class State(NamedTuple):
     asked: Array
     movers: Array
     met: Array
+    others: Array
 
     def rows(self, which: Indices) -> State:
         """Returns the state of the simulations `which` (n,) only."""
         known = Estimate._make(part[which] for part in self.known)
         parts = self._replace(approach=self.approach.rows(which), known=known)
-        arrays = ("q", "v", "items", "collected", "asked", "movers", "met")
+        arrays = ("q", "v", "items", "collected", "asked", "movers", "met", "others")
         return parts._replace(**{name: getattr(self, name)[which] for name in arrays})
 
 
@@ -278,6 +281,15 @@ def robust(world: World, state: State) -> Parts:
     }
 
 
+def fleet(world: World, state: State) -> Parts:
+    """Returns `path` and the nearest other UAVs, as `others_seen` shows them in its frame."""
+    seen, frame = state.others, state.approach.frame
+    vectors = seen[..., :6].reshape(*seen.shape[:-1], 2, 3)
+    turned = np.einsum("n...j,nkj->n...k", vectors, frame).reshape(*seen.shape[:-1], 6)
+    shown = np.concatenate([turned, seen[..., 6:]], axis=-1)
+    return {**path(world, state), "others": shown.reshape(len(shown), -1)}
+
+
 def nearest_bounds(world: World, q: Array, frame: Array) -> Array:
     """Returns closeness times direction of the two nearest bounds, in frames (N, 3, 3)."""
     gaps = np.concatenate([q - world.bounds[:, 0], world.bounds[:, 1] - q], axis=1)
@@ -308,6 +320,7 @@ def places(world: World, q: Array, v: Array, approach: Approach, times: Array) -
     return np.asarray(q[:, None, None] + np.stack([along, v[:, None] * times[:, None]], axis=1))
 
 
-OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust}
-FRAMED = ("path", "robust")  # With these, actions are in the frame of the path as well.
+OBSERVATIONS = {"guided": guided, "path": path, "paper": paper, "robust": robust, "fleet": fleet}
+FRAMED = ("path", "robust", "fleet")  # With these, actions are in the frame of the path as well.
 SHOW_DISTURBANCES = ("robust",)
+SHOW_OTHERS = ("fleet",)

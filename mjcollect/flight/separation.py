@@ -19,6 +19,9 @@ from mjcollect.flight.world import World, scene_of
 from mjcollect.geometry.compiled import Array, Bools, Indices, compiled, plain
 from mjcollect.geometry.vectors import dot, norm, unit
 
+SIGHT = 150.0  # units of the scene within which UAVs see each other
+SHOWN = 3  # So many others are shown to a policy, the nearest ones,
+SEEN = 7  # each by so many numbers.
 NEAR = 1e-6  # metres by which rounding may bring two UAVs nearer than they keep apart
 SURE_SIDE = 0.1  # A plan passes on a side if it passes by this share of what they keep apart.
 SHARE_AHEAD = 0.7  # Going past, at most this share of a_max brakes.
@@ -226,3 +229,68 @@ def too_near(world: World, uavs: int, path: Array) -> Bools:
     if uavs > 1:
         together_rows(world, uavs, plain(path), touch)
     return touch
+
+
+def clashes(world: World, uavs: int, q: Array, v: Array) -> Bools:
+    """Returns which UAVs (N,) of fleets cannot brake at once without coming too near to another.
+
+    Args:
+        uavs: M, number of UAVs in a fleet. q, v: (N, 3) m and m/s.
+    """
+    clash = np.zeros(len(q), dtype=bool)
+    clash_rows(world, uavs, plain(q), plain(v), clash)
+    return clash
+
+
+@compiled
+def clash_rows(world: World, uavs: int, q: Array, v: Array, clash: Bools) -> None:
+    """Compiled loop of `clashes`."""
+    plans, counts = np.empty((uavs, longest_plan(world, 0), 3)), np.empty(uavs, dtype=np.intp)
+    for first in range(0, len(q), uavs):
+        w = scene_of(world, first)
+        apart, stride = world.apart[w, 0], 2 * world.v_max[w, 0] * world.step
+        for j in range(uavs):
+            counts[j] = plan_row(world, w, q[first + j], v[first + j], q[first], 0, plans[j])
+            for i in range(j):
+                # `first_meeting` lets those who are too near at first be so.
+                gap = 0.0
+                for k in range(3):
+                    gap += (q[first + i, k] - q[first + j, k]) ** 2
+                if gap < apart**2 or (
+                    first_meeting(plans[i], counts[i], plans[j], counts[j], apart, stride) >= 0
+                ):
+                    clash[first + i] = clash[first + j] = True
+
+
+def others_seen(world: World, uavs: int, q: Array, v: Array) -> Array:
+    """Returns (N, SHOWN, SEEN) of the nearest other UAVs of each fleet, the nearest first.
+
+    They are the direction there times nearness, the relative velocity in units of v_max, and 1 for
+    one that has right of way, else -1. Nearness is 1 where UAVs keep just apart and 0 from SIGHT
+    on; a UAV out of sight is all zero.
+
+    Args:
+        uavs: M, number of UAVs in a fleet. q, v: (N, 3) m and m/s.
+    """
+    out = np.zeros((len(q), SHOWN, SEEN))
+    if uavs == 1:
+        return out
+    place, speed = q.reshape(-1, uavs, 3), v.reshape(-1, uavs, 3)
+    offset, drift = place[:, None] - place[:, :, None], speed[:, None] - speed[:, :, None]
+    offset, drift = offset.reshape(len(q), uavs, 3), drift.reshape(len(q), uavs, 3)
+    gap = np.linalg.norm(offset, axis=2)
+    me = np.arange(len(q)) % uavs
+    gap[np.arange(len(q)), me] = np.inf
+    near = np.argsort(gap, axis=1, kind="stable")[:, : min(SHOWN, uavs - 1)]
+    gap = np.take_along_axis(gap, near, axis=1)[..., None]
+    sight, apart = SIGHT * world.unit[:, :, None], world.apart[:, :, None]
+    nearness = np.clip((sight - gap) / (sight - apart), 0.0, 1.0)
+    there = nearness > 0.0
+    shown = near.shape[1]
+    towards = np.take_along_axis(offset, near[..., None], axis=1) / np.maximum(gap, 1e-9)
+    out[:, :shown, :3] = towards * nearness
+    relative = np.take_along_axis(drift, near[..., None], axis=1) / world.v_max[:, :, None]
+    out[:, :shown, 3:6] = np.where(there, relative, 0.0)
+    first = np.where(near < me[:, None], 1.0, -1.0)[..., None]
+    out[:, :shown, 6:] = np.where(there, first, 0.0)
+    return out

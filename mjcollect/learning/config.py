@@ -77,7 +77,8 @@ class LearnConfig:
     """Sets the number of MuJoCo's threads, on which the results do not depend."""
     observation: str = "path"
     """Selects the observation: guided, path (guided in the frame of the path), robust (path, and
-    what is known of disturbances, moving boxes and bounds), or paper."""
+    what is known of disturbances, moving boxes and bounds), fleet (path, and the nearest other
+    UAVs), or paper."""
     reward: str = "lost"
     """Selects the reward: lost (time lost), time (flown), careful (crashes cost more) or paper."""
     shield: bool = True

@@ -62,10 +62,12 @@ class Evaluator:
         seed: int,
         disturbances: Disturbances | None = None,
         failure_seconds: float = math.inf,
+        uavs: int = 1,
     ) -> None:
         """Draws the starts on every course, each of one segment, from the stream `evaluate`.
 
         Args:
+            uavs: number of UAVs in a fleet, to which so many flights that follow each other belong.
             disturbances: those of len(courses) * config.eval_episodes simulations, course by
                 course, if any.
             failure_seconds: explained at `Evaluation` (s).
@@ -78,6 +80,7 @@ class Evaluator:
             rules=config.rules,
             threads=config.threads,
             disturbances=disturbances,
+            uavs=uavs,
         )
         self._fresh = None if disturbances is None else disturbances.state_dict()
         starts = [

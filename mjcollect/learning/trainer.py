@@ -309,8 +309,9 @@ def make_simulations(
     config: LearnConfig,
     seed: int,
     disturbances: Disturbances | None = None,
+    uavs: int = 1,
 ) -> Simulations:
-    """Returns `config.envs` simulations for a trainer, on one course or one course each."""
+    """Returns `config.envs` flights for a trainer, on one course or one each, in fleets of `uavs`."""
     return Simulations(
         courses,
         config.envs,
@@ -319,4 +320,5 @@ def make_simulations(
         rng=np.random.default_rng(stream(seed, "start")),
         threads=config.threads,
         disturbances=disturbances,
+        uavs=uavs,
     )
