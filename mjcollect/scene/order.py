@@ -193,8 +193,10 @@ def _checked(cost: Array, count: int) -> Array:
 
 
 def node_name(node: int) -> str:
-    """Returns the name of a node: 'depot', or 'item 3'."""
-    return "depot" if node < 0 else f"item {node}"
+    """Returns the name of a node: 'item 3', 'depot' for -1, or 'depot 1' for the next, -2."""
+    if node >= 0:
+        return f"item {node}"
+    return "depot" if node == DEPOT else f"depot {DEPOT - node}"
 
 
 # `from` is a keyword of Python, hence the functional form.
