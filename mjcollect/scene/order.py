@@ -80,9 +80,9 @@ def tour_length(scene: Scene, order: Sequence[int]) -> float:
     return float(np.sum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
 
 
-def distances(scene: Scene) -> Array:
-    """Returns the straight distances (K+1, K+1) in m; row and column 0 are the depot."""
-    nodes = np.concatenate([[scene.depot], scene.items])
+def distances(scene: Scene, depots: Array | None = None) -> Array:
+    """Returns the straight distances (D+K, D+K) in m; depots (D, 3) are first, or the depot."""
+    nodes = np.concatenate([scene.depot[None] if depots is None else depots, scene.items])
     return np.asarray(np.linalg.norm(nodes[:, None] - nodes[None], axis=-1))
 
 
