@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array, Indices, compiled
+from mjcollect.scene.depots import depot_of
 from mjcollect.scene.order import MAX_EXACT, TourError, lkh_order, way_back, ways_through
 
 FINE = 1e-3  # The bisection ends when the time is known to this share.
@@ -53,11 +54,6 @@ def assign(cost: Array, uavs: int, *, seed: int = 0, depots: int = 1) -> Tours:
         for depot in range(depots)
     ]
     return tuple(_in_turn(own, uavs))
-
-
-def depot_of(uav: int, depots: int) -> int:
-    """Returns the number of the depot where a UAV starts and ends."""
-    return uav % depots
 
 
 def depot_cost(cost: Array, depot: int, depots: int) -> Array:

@@ -73,8 +73,8 @@ def fleet_courses(
         scene: a `Scene`, a scene file, or the name of a bundled scene.
 
     Raises:
-        SceneError: the scene is refused, or so many UAVs find no room at the depot. It also raises
-            what `fleet_tours` raises.
+        SceneError: the scene is refused, or so many UAVs find no room at a depot, or two depots are
+            too near to each other. It also raises what `fleet_tours` raises.
     """
     if not isinstance(scene, Scene):
         scene = Scene.find(scene)

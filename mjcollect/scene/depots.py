@@ -1,4 +1,4 @@
-"""Refuses depots that no UAV could start from: the scene's depot, and its `more_depots`.
+"""Says whose depot is which, and refuses those that no UAV could start from.
 
 As nodes the depot is -1, `more_depots[0]` is -2 and so on.
 """
@@ -12,6 +12,11 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.enclosure import Space, walled_in
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.moving import MovingBox
+
+
+def depot_of(uav: int, depots: int) -> int:
+    """Returns the number of the depot, of so many, where a UAV of a fleet starts and ends."""
+    return uav % depots
 
 
 def depot_field(index: int) -> str:
