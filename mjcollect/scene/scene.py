@@ -164,6 +164,11 @@ class Scene:
         """Returns all depots (D, 3), the first one first; UAV m of a fleet has number m mod D."""
         return np.concatenate([self.depot[None], self.more_depots])
 
+    @property
+    def nodes(self) -> range:
+        """Returns all nodes, of which those below 0 are depots: -1 is the depot, then -2..."""
+        return range(-len(self.depots), len(self.items))
+
     def point(self, node: int) -> Array:
         """Returns the position (3,) of item `node`, of the depot for -1, or of others for -2..."""
         return self.items[node] if node >= 0 else self.depots[-1 - node]
