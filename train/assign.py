@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from mjcollect.guidance.travel_times import travel_times
 from mjcollect.planners.assignment import assign, makespan, tour_time
 from mjcollect.planners.fleet_bound import fleet_bound
+from mjcollect.scene.depots import depot_of
 from mjcollect.scene.scene import Scene
 from train.support.command_line import run_program
 from train.support.markdown import markdown_table
@@ -22,7 +23,7 @@ from train.support.markdown import markdown_table
 
 @dataclass(frozen=True)
 class Args:
-    """Shares a scene's items among several UAVs that start from its depot.
+    """Shares a scene's items among several UAVs that start from its depot, or its depots in turn.
 
     The times are estimates, along the shortest free paths among the boxes; UAVs do not get in each
     other's way. The bound holds for every flight, whatever it collects in which order.
@@ -31,7 +32,7 @@ class Args:
     scene: str
     """Names a scene file or a bundled scene."""
     uavs: int = 2
-    """Sets the number of UAVs; some may stay at the depot."""
+    """Sets the number of UAVs; some may stay at their depot."""
     seed: int = 0
     """Sets the seed of the search where there are more than 12 items."""
     json: bool = False
@@ -46,15 +47,19 @@ def main(argv: list[str] | None = None) -> int:
 def share_items(args: Args) -> int:
     """Shares, prints."""
     scene = Scene.find(args.scene)
-    cost = travel_times(scene)
-    tours = assign(cost, args.uavs, seed=args.seed)
+    depots = len(scene.depots)
+    cost = travel_times(scene, depots)
+    tours = assign(cost, args.uavs, seed=args.seed, depots=depots)
     bound, method = fleet_bound(scene, args.uavs)
-    last, alone = makespan(cost, tours), makespan(cost, assign(cost, 1))
-    times = [tour_time(cost, tour) for tour in tours]
+    last = makespan(cost, tours, depots)
+    alone = makespan(cost, assign(cost, 1, depots=depots), depots)
+    homes = [depot_of(uav, depots) for uav in range(args.uavs)]
+    times = [tour_time(cost, tour, home, depots) for tour, home in zip(tours, homes, strict=True)]
     if args.json:
         document = {
             "scene": scene.name,
             "tours": tours,
+            "depots": homes,
             "times": times,
             "makespan": last,
             "lower_bound": bound,
@@ -67,7 +72,11 @@ def share_items(args: Args) -> int:
         [str(uav), " ".join(map(str, tour)) or "-", f"{time:.1f}"]
         for uav, (tour, time) in enumerate(zip(tours, times, strict=True))
     ]
-    print("\n".join(markdown_table(["UAV", "items in order", "time (s)"], rows)))
+    columns = ["UAV", "items in order", "time (s)"]
+    if depots > 1:
+        columns.append("depot")
+        rows = [[*row, str(home)] for row, home in zip(rows, homes, strict=True)]
+    print("\n".join(markdown_table(columns, rows)))
     print(
         f"\nThe last is home after {last:.1f} s, no flight earlier than {bound:.1f} s ({method})."
     )

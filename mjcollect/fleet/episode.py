@@ -11,6 +11,7 @@ from mjcollect.envs.episode import Episodes, Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.fleet.share import parts
 from mjcollect.geometry.compiled import Bools
+from mjcollect.scene.depots import depot_of
 from mjcollect.scene.order import TourError
 from mjcollect.scene.scene import Scene
 
@@ -20,19 +21,30 @@ def uav_names(uavs: int) -> list[str]:
     return [f"uav_{number}" for number in range(uavs)]
 
 
-def courses(scene: Scene, tours: Sequence[Sequence[int]]) -> tuple[Course, ...]:
-    """Returns the course of each UAV, from its own place at the depot through its tour and back.
+def courses(
+    scene: Scene, tours: Sequence[Sequence[int]], depots: Sequence[int] | None = None
+) -> tuple[Course, ...]:
+    """Returns the course of each UAV, from its own place at its depot through its tour and back.
 
     Args:
         tours: each UAV's items in the order of visit. A UAV without items stays out of the fleet,
             which is that much smaller. Items in no tour are left where they are.
+        depots: the number of each UAV's depot; None for m mod D, where UAV m has tour m of all
+            these `tours`. Who has left out empty tours before must say whose depot is which.
 
     Raises:
-        TourError: a tour has an item that is not there, or that another one has, or none has any.
-        SceneError: so many UAVs find no room at the depot.
+        TourError: a tour has an item that is not there, or that another one has, or none has any,
+            or there is another number of depots, or there is no such depot.
+        SceneError: so many UAVs find no room at a depot, or two depots are too near to each other.
         GuidanceError: an item cannot be reached.
     """
+    known = len(scene.depots)
+    homes = [depot_of(uav, known) for uav in range(len(tours))] if depots is None else depots
+    if len(homes) != len(tours) or not set(homes) <= set(range(known)):
+        fix = f"must be {len(tours)}, one for each tour, from 0 to {known - 1}"
+        raise TourError(f"depots: {list(homes)}: {fix}")
     flown = [tuple(int(item) for item in tour) for tour in tours if len(tour) > 0]
+    homes = [home for home, tour in zip(homes, tours, strict=True) if len(tour) > 0]
     if not flown:
         raise TourError(f"tours: {list(tours)}: must have at least one item; add one to a tour")
     visited = [item for tour in flown for item in tour]
@@ -43,7 +55,7 @@ def courses(scene: Scene, tours: Sequence[Sequence[int]]) -> tuple[Course, ...]:
             raise TourError(f"tours: {item}: is visited more than once; leave it in one tour only")
     return tuple(
         Course.mission(part, tuple(range(len(tour))))
-        for part, tour in zip(parts(scene, flown), flown, strict=True)
+        for part, tour in zip(parts(scene, flown, homes), flown, strict=True)
     )
 
 

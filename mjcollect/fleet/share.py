@@ -1,14 +1,16 @@
-"""Gives each UAV of a fleet its part of a scene: its items, and a place of its own at the depot."""
+"""Gives each UAV of a fleet its part of a scene: its items, and a place of its own at its depot."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
 from mjcollect.geometry.among_boxes import gap_to_boxes, segment_clear
 from mjcollect.geometry.compiled import Array
+from mjcollect.scene.depots import depot_field, depot_of
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 
@@ -18,17 +20,19 @@ SHARES = np.linspace(0.45, 0.0, 19)  # first such that stops may miss them by su
 LEAST = 0.02  # A stop may miss its place by this share at least.
 
 
-def pads(scene: Scene, count: int) -> tuple[Array, float]:
-    """Returns places (count, 3) in m at the depot where UAVs start and end, and how exactly.
+def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
+    """Returns places (count, 3) in m at a depot where UAVs start and end, and how exactly.
 
     UAVs that rest within the tolerance returned (m) of their places are within `return_tolerance`
-    of the depot, and keep apart from each other. A single one has the depot itself.
+    of the depot, and keep apart from each other. A single one has the depot itself. The depot is
+    that of this `number` among the scene's depots.
 
     Raises:
         SceneError: so many do not find room.
     """
+    depot = scene.depots[number]
     if count == 1:
-        return scene.depot[None].copy(), scene.return_tolerance
+        return depot[None].copy(), scene.return_tolerance
     whole = scene.return_tolerance
     axis = np.linspace(-whole, whole, GRID)
     offset = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -42,13 +46,14 @@ def pads(scene: Scene, count: int) -> tuple[Array, float]:
             size[:, None] > inner, offset * (inner / np.maximum(size, 1e-9))[:, None], offset
         )
         found = found[(size <= inner + 1e-9) | (np.arange(len(size)) >= GRID**3)]
-        free = _free(scene, scene.depot + found)
+        free = _free(scene, depot, depot + found)
         chosen = spread(free, count, scene.apart + 2 * tolerance)
         if chosen is not None:
             return chosen, tolerance
     raise SceneError(
         "return_tolerance", whole,
-        f"{count} UAVs that keep {scene.apart:g} m apart find no room within it at the depot; "
+        f"{count} UAVs that keep {scene.apart:g} m apart find no room within it at "
+        f"{'the depot' if number == 0 else depot_field(number)}; "
         "raise it, lower separation, or take fewer UAVs",
     )  # fmt: skip
 
@@ -59,12 +64,12 @@ def _ring(count: int) -> Array:
     return np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
 
 
-def _free(scene: Scene, points: Array) -> Array:
-    """Returns those of points (n, 3) that a body reaches straight from the depot."""
+def _free(scene: Scene, depot: Array, points: Array) -> Array:
+    """Returns those of points (n, 3) that a body reaches straight from a depot (3,)."""
     low, high = scene.bounds
     inside = np.all((points >= low) & (points <= high), axis=1)
     points = points[inside]
-    clear = segment_clear(scene.depot[None], points, scene.tree, scene.reach)
+    clear = segment_clear(depot[None], points, scene.tree, scene.reach)
     clear &= gap_to_boxes(points, scene.tree, scene.reach) >= scene.reach
     return points[clear]
 
@@ -83,28 +88,59 @@ def spread(points: Array, count: int, apart: float) -> Array | None:
     return points[chosen]
 
 
-def parts(scene: Scene, tours: Sequence[Sequence[int]]) -> tuple[Scene, ...]:
-    """Returns one scene for each tour: its items in the order of visit, a place at the depot.
+def parts(
+    scene: Scene, tours: Sequence[Sequence[int]], depots: Sequence[int] | None = None
+) -> tuple[Scene, ...]:
+    """Returns one scene for each tour: its items in the order of visit, a place at its depot.
 
     They share what is computed of the boxes. A scene of one UAV is the scene itself, with its items
-    in the order of visit.
+    in the order of visit, and has no further depots.
 
     Args:
         tours: indices of items, at least one each; no item twice.
+        depots: numbers of the depots of these tours; None for m mod D of tour m.
 
     Raises:
-        SceneError: so many UAVs find no room at the depot.
+        SceneError: so many UAVs find no room at a depot, or two depots are too near to each other.
     """
-    places, tolerance = pads(scene, len(tours))
+    if depots is None:
+        depots = [depot_of(uav, len(scene.depots)) for uav in range(len(tours))]
+    places, tolerances = np.zeros((len(tours), 3)), np.zeros(len(tours))
+    for number in sorted(set(depots)):
+        own = [uav for uav, depot in enumerate(depots) if depot == number]
+        places[own], tolerances[own] = pads(scene, len(own), number)
+    _check_apart(scene, depots, places, tolerances)
     return tuple(
-        _part(scene, f"{scene.name} {uav}", tour, place, tolerance)
-        for uav, (tour, place) in enumerate(zip(tours, places, strict=True))
+        _part(scene, f"{scene.name} {uav}", tour, places[uav], float(tolerances[uav]))
+        for uav, tour in enumerate(tours)
     )
+
+
+def _check_apart(scene: Scene, depots: Sequence[int], places: Array, tolerances: Array) -> None:
+    """Refuses places (M, 3) at different depots where UAVs at rest could come too near.
+
+    Args:
+        depots: the number of each one's depot. tolerances: (M,) m within which they rest.
+    """
+    for one, other in combinations(range(len(places)), 2):
+        if depots[one] == depots[other]:
+            continue  # `pads` keeps these apart.
+        gap = float(np.linalg.norm(places[one] - places[other]))
+        short = scene.apart + float(tolerances[one] + tolerances[other]) - gap
+        if short > 0:
+            first, last = sorted((depots[one], depots[other]))
+            raise SceneError(
+                depot_field(last), scene.depots[last].tolist(),
+                f"has a place {gap:.3g} m from one at {depot_field(first)}, where UAVs at rest may "
+                f"come nearer than {scene.apart:g} m; move it {short:.3g} m away, or lower "
+                "return_tolerance or separation",
+            )  # fmt: skip
 
 
 def _part(scene: Scene, name: str, tour: Sequence[int], depot: Array, tolerance: float) -> Scene:
     own = copy.copy(scene)  # with what it has computed of its boxes, which stay as they are
     values = {"items": scene.items[list(tour)], "depot": depot.copy()}
+    values["more_depots"] = np.zeros((0, 3))
     for array in values.values():
         array.setflags(write=False)
     for name_, value in {**values, "name": name, "return_tolerance": tolerance}.items():

@@ -18,8 +18,10 @@ from mjcollect.scene.scene import Scene
 MOST_NODES = 250_000
 
 
-def travel_times(scene: Scene) -> Array:
-    """Returns symmetric (K + 1, K + 1) seconds between nodes, depot first, for `plan_order`.
+def travel_times(scene: Scene, depots: int = 1) -> Array:
+    """Returns symmetric (D + K, D + K) seconds between nodes, for `plan_order` and `assign`.
+
+    The first D of the scene's depots come first. Between them nothing is flown: it takes 0 s.
 
     A stop anywhere in a node's ball counts: epsilon is taken off at each item's end. One distance
     field is marched for each node with a blocked neighbour; a pair that its grid does not join
@@ -28,14 +30,15 @@ def travel_times(scene: Scene) -> Array:
     Raises:
         GuidanceError: the finest grid does not join two nodes.
     """
-    nodes = [-1, *range(len(scene.items))]
+    homes = [-1 - depot for depot in range(depots)]
+    nodes = [*homes, *range(len(scene.items))]
     points = np.array([place(scene, node) for node in nodes])  # items may be too near to a wall
     length = np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
     clear = segment_clear(points[:, None], points[None], scene.tree, scene.reach)
     sides = scene.bounds[1] - scene.bounds[0]
     nodes_of_coarse = np.prod(np.ceil(sides / sides.max() * COARSE) + 1)
     cells = COARSE if nodes_of_coarse <= MOST_NODES else WIDE
-    for to in range(1, len(nodes)):
+    for to in range(depots, len(nodes)):
         blocked = np.flatnonzero(~clear[:to, to])
         if len(blocked) == 0:
             continue
@@ -53,4 +56,5 @@ def travel_times(scene: Scene) -> Array:
     free = np.maximum(length - taken[:, None] - taken[None], 0.0)
     cost = np.array(leg_time(free, scene.v_max, scene.a_max))
     np.fill_diagonal(cost, 0.0)
+    cost[:depots, :depots] = 0.0
     return cost

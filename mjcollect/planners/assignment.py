@@ -1,5 +1,8 @@
 """Shares the items of a scene among UAVs, so that the last one is home as early as possible.
 
+Of D depots UAV m has number m mod D, where its tour begins and ends. Costs have the depots' rows
+and columns first, then the items'; nothing is flown between depots.
+
 Up to MAX_EXACT items the best sharing is found by dynamic programming over sets of items. Beyond,
 PyVRP (Wouda, Lan and Kool 2024) looks for tours that all end within a time, which is bisected:
 it has no objective of its own for the last tour. LKH orders each tour at the end.
@@ -13,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array, Indices, compiled
+from mjcollect.scene.depots import depot_of
 from mjcollect.scene.order import MAX_EXACT, TourError, lkh_order, way_back, ways_through
 
 FINE = 1e-3  # The bisection ends when the time is known to this share.
@@ -22,67 +26,92 @@ _ANY = 2**62  # so long that every tour keeps it
 Tours = tuple[tuple[int, ...], ...]
 
 
-def assign(cost: Array, uavs: int, *, seed: int = 0) -> Tours:
+def assign(cost: Array, uavs: int, *, seed: int = 0, depots: int = 1) -> Tours:
     """Returns the items that each UAV collects, in the order of visit; some may get none.
 
     Args:
-        cost: (K + 1, K + 1) seconds from row to column, the depot first; symmetric.
-        uavs: M, their number. seed: of the search beyond MAX_EXACT items.
+        cost: (D + K, D + K) seconds from row to column, the depots first; symmetric.
+        uavs: M, their number. seed: of the search beyond MAX_EXACT items. depots: D.
 
     Returns:
-        M tours of item indices, the longest first.
+        M tours of item indices, tour m from depot m mod D; those of one depot the longest first.
 
     Raises:
-        TourError: there is no UAV, or PyVRP is missing.
+        TourError: there is no UAV or no depot, or PyVRP is missing.
     """
     if uavs < 1:
         raise TourError(f"uavs: {uavs}: must be at least 1")
-    count = len(cost) - 1
-    if count <= MAX_EXACT:
-        tours = exact_assignment(cost, uavs)
+    if not 1 <= depots < len(cost):
+        raise TourError(f"depots: {depots}: must be at least 1, and fewer than rows of the cost")
+    if len(cost) - depots <= MAX_EXACT:
+        tours = exact_assignment(cost, uavs, depots)
     elif uavs == 1:
-        tours = [tuple(lkh_order(cost))]
+        tours = [tuple(lkh_order(depot_cost(cost, 0, depots)))]
     else:
-        tours = search_assignment(cost, uavs, seed=seed)
-    tours += [()] * (uavs - len(tours))
-    return tuple(sorted(tours, key=lambda tour: -tour_time(cost, tour)))
+        tours = search_assignment(cost, uavs, seed=seed, depots=depots)
+    own = [
+        sorted(tours[depot::depots], key=lambda tour: -tour_time(cost, tour, depot, depots))
+        for depot in range(depots)
+    ]
+    return tuple(_in_turn(own, uavs))
 
 
-def tour_time(cost: Array, tour: Sequence[int]) -> float:
-    """Returns the seconds of a tour from the depot through items and back; 0 for none."""
-    nodes = np.array([0, *(item + 1 for item in tour), 0])
+def depot_cost(cost: Array, depot: int, depots: int) -> Array:
+    """Returns the cost (K + 1, K + 1) of one depot, first, and of the items."""
+    nodes = np.array([depot, *range(depots, len(cost))])
+    return cost[np.ix_(nodes, nodes)]
+
+
+def tour_time(cost: Array, tour: Sequence[int], depot: int = 0, depots: int = 1) -> float:
+    """Returns the seconds of a tour from a depot through items and back; 0 for none."""
+    nodes = np.array([depot, *(item + depots for item in tour), depot])
     return float(cost[nodes[:-1], nodes[1:]].sum()) if len(tour) else 0.0
 
 
-def makespan(cost: Array, tours: Sequence[Sequence[int]]) -> float:
-    """Returns the seconds until the last of some tours is home."""
-    return max(tour_time(cost, tour) for tour in tours)
+def makespan(cost: Array, tours: Sequence[Sequence[int]], depots: int = 1) -> float:
+    """Returns the seconds until the last of some tours is home, tour m from depot m mod D."""
+    return max(
+        tour_time(cost, tour, depot_of(uav, depots), depots) for uav, tour in enumerate(tours)
+    )
+
+
+def _in_turn(own: Sequence[Sequence[tuple[int, ...]]], uavs: int) -> list[tuple[int, ...]]:
+    """Returns M tours, each the next one of its depot's `own` ones, empty if there is none left."""
+    left = [iter(tours) for tours in own]
+    return [next(left[depot_of(uav, len(own))], ()) for uav in range(uavs)]
 
 
 # All sharings
 
 
-def exact_assignment(cost: Array, uavs: int) -> list[tuple[int, ...]]:
+def exact_assignment(cost: Array, uavs: int, depots: int = 1) -> list[tuple[int, ...]]:
     """Returns tours with the least makespan, by dynamic programming over sets of items.
+
+    There are M, tour m from depot m mod D; `cost` is as in `assign`, but need not be symmetric.
 
     Raises:
         TourError: there are more than MAX_EXACT items.
     """
-    count = len(cost) - 1
+    count = len(cost) - depots
     if count > MAX_EXACT:
         raise TourError(f"uavs: {count} items: all sharings are tried up to {MAX_EXACT} items only")
-    best, before = ways_through(cost)
-    closed = best + cost[1:, 0]
-    times = closed.min(axis=1)
-    times[0] = 0.0
+    ways = []
+    times = np.zeros((min(depots, uavs), 1 << count))
+    for depot, time in enumerate(times):
+        own = depot_cost(cost, depot, depots)
+        best, before = ways_through(own)
+        ways.append((best + own[1:, 0], before))
+        time[1:] = ways[depot][0][1:].min(axis=1)
     share = np.empty((uavs, 1 << count), dtype=np.intp)
     share_sets(times, share)
-    tours, left = [], (1 << count) - 1
+    own_tours: list[list[tuple[int, ...]]] = [[] for _ in range(depots)]
+    left = (1 << count) - 1
     for uav in range(uavs - 1, -1, -1):
-        mine = int(share[uav, left])
-        tours.append(way_back(before, mine, int(closed[mine].argmin())))
+        depot, mine = depot_of(uav, depots), int(share[uav, left])
+        closed, before = ways[depot]
+        own_tours[depot].append(way_back(before, mine, int(closed[mine].argmin())))
         left ^= mine
-    return tours
+    return _in_turn(own_tours, uavs)
 
 
 @compiled
@@ -90,18 +119,19 @@ def share_sets(closed: Array, share: Indices) -> None:
     """Writes for each number of UAVs and each set the part of the set that the last of them takes.
 
     Args:
-        closed: (2^K,) s, the least tour through each set. share: (M, 2^K), written.
+        closed: (D, 2^K) s, the least tour through each set from each depot, which UAVs have in
+            turn. share: (M, 2^K), written.
     """
-    least = closed.copy()
-    for items in range(len(closed)):
+    least = closed[0].copy()
+    for items in range(len(least)):
         share[0, items] = items
     for uav in range(1, len(share)):
-        before = least.copy()
-        for items in range(len(closed)):
+        before, own = least.copy(), closed[uav % len(closed)]
+        for items in range(len(least)):
             part = items
             least[items] = np.inf
             while True:  # over all parts of the set, down to the empty one
-                time = max(closed[part], before[items ^ part])
+                time = max(own[part], before[items ^ part])
                 if time < least[items]:
                     least[items], share[uav, items] = time, part
                 if part == 0:
@@ -113,39 +143,51 @@ def share_sets(closed: Array, share: Indices) -> None:
 
 
 def _ordered(cost: Array, tour: tuple[int, ...]) -> tuple[int, ...]:
-    """Returns a tour in LKH's order, or as it is if that is no shorter."""
+    """Returns a tour in LKH's order, or as it is if that is no shorter; `cost` has one depot."""
     nodes = np.array([0, *(item + 1 for item in tour)])
     other = tuple(tour[index] for index in lkh_order(cost[np.ix_(nodes, nodes)]))
     return min(tour, other, key=lambda each: tour_time(cost, each))
 
 
-def search_assignment(cost: Array, uavs: int, *, seed: int = 0) -> list[tuple[int, ...]]:
+def search_assignment(
+    cost: Array, uavs: int, *, seed: int = 0, depots: int = 1
+) -> list[tuple[int, ...]]:
     """Returns tours of which the last ends as early as PyVRP can find, each in LKH's order.
+
+    There are M, tour m from depot m mod D; `cost` is as in `assign`.
 
     Raises:
         TourError: PyVRP is missing.
     """
-    uavs = min(uavs, len(cost) - 1)
     unit = max(float(cost.max()), 1e-12) / _LONGEST
     weights = np.ceil(cost / unit).astype(np.int64)
-    least = float((cost[0, 1:] + cost[1:, 0]).max())
-    tours = _within(weights, uavs, _ANY, seed)
+    least = farthest(cost, uavs, depots)
+    tours = _within(weights, uavs, _ANY, seed, depots)
     assert tours is not None
-    most = makespan(cost, tours)
+    most = makespan(cost, tours, depots)
     while most - least > FINE * most:
         tried = (least + most) / 2
-        found = _within(weights, uavs, int(tried / unit), seed)
+        found = _within(weights, uavs, int(tried / unit), seed, depots)
         if found is None:
             least = tried
         else:
-            tours, most = found, makespan(cost, found)
-    return [_ordered(cost, tour) for tour in tours]
+            tours, most = found, makespan(cost, found, depots)
+    return [
+        _ordered(depot_cost(cost, depot_of(uav, depots), depots), tour)
+        for uav, tour in enumerate(tours)
+    ]
+
+
+def farthest(cost: Array, uavs: int, depots: int = 1) -> float:
+    """Returns the seconds in which UAVs can fly to any item and back, each from its depot."""
+    used = min(uavs, depots)
+    return float((cost[:used, depots:] + cost[depots:, :used].T).min(axis=0).max())
 
 
 def _within(
-    weights: NDArray[np.int64], uavs: int, most: int, seed: int
+    weights: NDArray[np.int64], uavs: int, most: int, seed: int, depots: int
 ) -> list[tuple[int, ...]] | None:
-    """Returns tours that each take at most `most`, or None where none are found."""
+    """Returns M tours that each take at most `most`, or None where none are found."""
     try:
         import pyvrp
         from pyvrp.stop import FirstFeasible, MaxIterations, MultipleCriteria
@@ -155,10 +197,12 @@ def _within(
         ) from None
     model = pyvrp.Model()
     places = [model.add_location(0, 0) for _ in weights]
-    model.add_depot(places[0])
-    for place in places[1:]:
+    homes = [model.add_depot(place) for place in places[:depots]]
+    for place in places[depots:]:
         model.add_client(place)
-    model.add_vehicle_type(uavs, shift_duration=most)
+    for depot, home in enumerate(homes[:uavs]):
+        own = min(len(range(depot, uavs, depots)), len(places) - depots)
+        model.add_vehicle_type(own, start_depot=home, end_depot=home, shift_duration=most)
     for i, one in enumerate(places):
         for j, other in enumerate(places):
             weight = int(weights[i, j])
@@ -169,7 +213,8 @@ def _within(
     result = model.solve(end, seed=seed, display=False)
     if not result.is_feasible():
         return None
-    return [
-        tuple(stop.idx for stop in route.schedule() if stop.is_client())
-        for route in result.best.routes()
-    ]
+    tours: list[list[tuple[int, ...]]] = [[] for _ in homes]
+    for route in result.best.routes():
+        tour = tuple(stop.idx for stop in route.schedule() if stop.is_client())
+        tours[route.vehicle_type()].append(tour)  # a type for each depot
+    return _in_turn(tours, uavs)

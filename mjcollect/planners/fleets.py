@@ -27,6 +27,8 @@ def fleet_tours(
 ) -> Tours:
     """Returns the items that each UAV collects, in the order of visit; some may get none.
 
+    UAV m flies from depot m mod D of the scene's D depots.
+
     Args:
         uavs: M. Several share the items so that the last one is home as early as possible; a single
             one visits them by the method `order`, as `plan_order` takes it.
@@ -51,7 +53,8 @@ def fleet_tours(
         return (plan_order(scene, order, seed=seed),)
     if order != "lkh":
         raise TourError(f"order: {order!r}: is for one UAV; give the order of several by tours")
-    return assign(travel_times(scene), uavs, seed=seed)
+    depots = len(scene.depots)
+    return assign(travel_times(scene, depots), uavs, seed=seed, depots=depots)
 
 
 def fleet_courses(
@@ -70,8 +73,8 @@ def fleet_courses(
         scene: a `Scene`, a scene file, or the name of a bundled scene.
 
     Raises:
-        SceneError: the scene is refused, or so many UAVs find no room at the depot. It also raises
-            what `fleet_tours` raises.
+        SceneError: the scene is refused, or so many UAVs find no room at a depot, or two depots are
+            too near to each other. It also raises what `fleet_tours` raises.
     """
     if not isinstance(scene, Scene):
         scene = Scene.find(scene)

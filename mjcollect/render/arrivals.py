@@ -55,7 +55,7 @@ class Progress:
         """
         if self.targets[reached : reached + 1] == (node,):
             return "target"
-        if node == DEPOT:
+        if node <= DEPOT:
             return "depot"
         return "collected" if node in self.collected(reached) else "item"
 

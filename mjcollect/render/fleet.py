@@ -132,15 +132,27 @@ class FleetProgress:
     def target(self, reached: Sequence[int]) -> int | None:
         """Returns the node that the lead flies to; None if it has reached all."""
         flown, count = self.flights[self.lead], reached[self.lead]
-        return flown.targets[count] if count < len(flown.targets) else None
+        if count == len(flown.targets):
+            return None
+        node = flown.targets[count]
+        return self.home(self.lead) if node == DEPOT else node
+
+    def home(self, m: int) -> int:
+        """Returns the depot of flight `m` as a node of the whole scene, -1 or below."""
+        away = np.linalg.norm(self.scene.depots - self.flights[m].scene.depot, axis=1)
+        return DEPOT - int(away.argmin())
 
     def state(self, node: int, reached: Sequence[int]) -> tuple[str, int | None]:
         """Returns what a node is, as `Progress.state` does, and the flight that it belongs to.
 
-        The depot is the lead's; an item that nobody collects belongs to no flight.
+        The lead's depot is its own; an item that nobody collects, or another depot, is no flight's.
         """
+        if node <= DEPOT:
+            if node != self.home(self.lead):
+                return "depot", None
+            return self.flights[self.lead].state(DEPOT, reached[self.lead]), self.lead
         for m, (flown, count) in enumerate(zip(self.flights, reached, strict=True)):
-            if node in flown.order or (node == DEPOT and m == self.lead):
+            if node in flown.order:
                 return flown.state(node, count), m
         return "item", None
 
@@ -186,7 +198,10 @@ def fleet_progress(
         if not set(order) <= set(range(len(scene.items))):
             raise ValueError(f"items: {list(order)}: must lie in 0..{len(scene.items) - 1}")
         found = progress(part, trajectory, range(len(order)))
-        own = replace(scene, depot=part.depot, return_tolerance=part.return_tolerance)
+        own = replace(
+            scene, depot=part.depot, return_tolerance=part.return_tolerance,
+            more_depots=part.more_depots,
+        )  # fmt: skip
         nodes = (DEPOT, *order, DEPOT)
         flights.append(replace(found, scene=own, order=order, nodes=nodes))
     return FleetProgress(

@@ -289,10 +289,10 @@ def _nodes(fleet: FleetProgress) -> Iterator[tuple[Array, str, dict[str, Any]]]:
     Labels are 'depot' or 'item 3 · stop 2', the place in the order of the UAV that is to collect.
     """
     scene, reached = fleet.scene, fleet.arrivals
-    for node in range(DEPOT, len(scene.items)):
+    for node in scene.nodes:
         style: dict[str, Any] = {"color": HOME, "marker": "s", "s": 110.0, "edgecolor": "white"}
         label = node_name(node)
-        if node != DEPOT:
+        if node > DEPOT:
             state, m = fleet.state(node, reached)
             if m is not None:
                 label += f" · stop {fleet.flights[m].order.index(node) + 1}"

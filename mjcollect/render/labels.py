@@ -13,7 +13,7 @@ from mjcollect.geometry.compiled import Array
 from mjcollect.render.camera import View
 from mjcollect.render.fleet import UAV_WIDTH, FleetProgress
 from mjcollect.render.overlay import PANEL, WHITE, Colour, font, ink, node_look, pill, uav_colour
-from mjcollect.scene.order import DEPOT, node_name
+from mjcollect.scene.order import node_name
 
 Rectangle = tuple[float, float, float, float]  # left, top, right, bottom in pixels
 NEAREST, FARTHEST = 5.0, 600.0  # Nodes between these distances from the camera (m) are named.
@@ -36,7 +36,7 @@ def name_all(
         blocked: rectangles in pixels that labels keep out of.
     """
     tags, scene, x = _Tags(image, blocked), fleet.scene, xs[fleet.lead]
-    nodes = range(DEPOT, len(scene.items))
+    nodes = scene.nodes
     points = np.array([scene.point(node) for node in nodes])
     pixels, depth = view.project(points)
     seen = segment_clear(np.broadcast_to(view.eye, points.shape), points, scene.tree, 1e-6)

@@ -86,7 +86,7 @@ def node_look(fleet: FleetProgress, node: int, reached: Sequence[int]) -> Look:
     if fleet.is_alone:
         text = DARK if state == "item" else WHITE
         return Look(NODES[state], WHITE, text, NODES[state], grow, 1 / 6)
-    fill = FLEET_DEPOT if node == DEPOT else UNCOLLECTED
+    fill = FLEET_DEPOT if node <= DEPOT else UNCOLLECTED
     if state == "collected" and m is not None:
         fill = uav_colour(fleet, m)
     if state == "target" and m is not None:
@@ -135,7 +135,7 @@ class Overview:
         eye = view.eye[None, None]
         hidden = [~segment_clear(at[:, None], eye, scene.tree, 1e-6)[:, 0] for at, _ in trails]
         self._alpha = [np.where(behind, 110, 255) for behind in hidden]
-        self._nodes = range(DEPOT, len(scene.items))
+        self._nodes = scene.nodes
         self._node_pixels = view.project(np.array([scene.point(node) for node in self._nodes]))[0]
         width, height = view.size
         cut = min(width, round(height * 0.95))
@@ -176,10 +176,10 @@ class Overview:
         for node, place in ordered:
             look = node_look(self._fleet, node, reached)
             grow = radius * look.grow
-            shape = draw.rectangle if node == DEPOT else draw.ellipse
+            shape = draw.rectangle if node <= DEPOT else draw.ellipse
             box = (*(place - grow), *(place + grow))
             shape(box, look.fill, look.rim, max(1, round(radius * look.edge)))
-            label = "D" if node == DEPOT else str(node)
+            label = "D" if node <= DEPOT else str(node)
             draw.text(tuple(place), label, look.text, font(radius * 1.25, True), anchor="mm")
 
     def uavs(self, image: Image.Image, xs: Array, radius: float) -> None:

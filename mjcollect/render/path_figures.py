@@ -34,7 +34,7 @@ from mjcollect.render.time_figures import (
 )
 from mjcollect.render.time_figures import figure as new_figure
 from mjcollect.scene.moving import MovingBox
-from mjcollect.scene.order import DEPOT
+from mjcollect.scene.order import DEPOT, node_name
 from mjcollect.scene.scene import Scene
 
 Place = tuple[float, float, float, float]  # left, bottom, width, height as shares of the figure
@@ -256,9 +256,9 @@ def _nodes(done: Progress, low: Array, high: Array) -> Iterator[tuple[Array, str
     """
     scene, reached = done.scene, done.collected(len(done.rows))
     ends = () if done.segment is None else done.nodes
-    for node in range(DEPOT, len(scene.items)):
-        point, label, colour, marker, size = scene.point(node), "depot", BLUE, "s", 110.0
-        if node != DEPOT:
+    for node in scene.nodes:
+        point, label, colour, marker, size = scene.point(node), node_name(node), BLUE, "s", 110.0
+        if node > DEPOT:
             label = f"item {node} · stop {done.order.index(node) + 1}"
             colour, marker, size = GREEN if node in reached else ORANGE, "o", 80.0
         style = {"color": colour, "marker": marker, "s": 170.0 if node in ends else size}
@@ -271,7 +271,7 @@ def box_heights(axes: Any, scene: Scene, flown: Array, low: Array, high: Array) 
 
     Of the path there are points (N, 2); `low` and `high` (2,) are the window's corners.
     """
-    nodes = np.concatenate([scene.items, scene.depot[None]])[:, :2]
+    nodes = np.concatenate([scene.items, scene.depots])[:, :2]
     labels = nodes + np.array([0.0, 0.03]) * (high - low)
     wide = np.array([1 / 3, 1.0]) / (high - low)  # texts are wide: distances count along x a third
     taken = np.concatenate([flown, nodes, labels]) * wide

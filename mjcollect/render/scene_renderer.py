@@ -19,8 +19,7 @@ from mjcollect.render.camera import Picture, View
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.overlay import node_look, uav_colour
 from mjcollect.render.settings import VideoSettings
-from mjcollect.scene.mjcf import DEPOT_RGBA, ITEM_RGBA, build, uav_name
-from mjcollect.scene.order import DEPOT
+from mjcollect.scene.mjcf import DEPOT_RGBA, ITEM_RGBA, build, site_name, uav_name
 
 # Nodes have these colours by `Progress.state`.
 NODES_RGBA = {
@@ -79,8 +78,7 @@ class Stage:
                 self.model.geom(f"{name}/hull").rgba[:3] = np.divide(uav_colour(fleet, m), 255)
         solid = [i for i in range(len(scene.obstacles)) if i not in scene.no_fly]
         self._boxes = [self.model.geom(f"obstacle_{i}").id for i in solid]
-        items = [self.model.site(f"item_{i}").id for i in range(len(scene.items))]
-        self._sites = {DEPOT: self.model.site("depot").id, **dict(enumerate(items))}
+        self._sites = {node: self.model.site(site_name(node)).id for node in scene.nodes}
         self._blades = [
             self.model.geom(f"{name}/blade_{corner}").id
             for name in names

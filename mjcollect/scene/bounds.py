@@ -54,12 +54,20 @@ def mission_bound(scene: Scene) -> tuple[float, str]:
     return _one_tree(cost), RELAXED
 
 
-def leg_bounds(scene: Scene) -> Array:
-    """Returns the segment bounds (K+1, K+1) in s, from row to column, the depot first."""
-    margin = np.full((len(scene.items) + 1,) * 2, 2 * scene.epsilon)
-    margin[0, :] = scene.epsilon
-    margin[:, 0] = scene.epsilon + scene.return_tolerance
-    return leg_time(np.maximum(0.0, distances(scene) - margin), scene.v_max, scene.a_max)
+def leg_bounds(scene: Scene, depots: Array | None = None, beside: float = 0.0) -> Array:
+    """Returns the segment bounds (D+K, D+K) in s, from row to column, the depots first.
+
+    Args:
+        scene: K items.
+        depots: (D, 3) m; the scene's depot if None. Between them nothing is flown.
+        beside: metres from their depot within which UAVs start, which shortens the legs out.
+    """
+    count = 1 if depots is None else len(depots)
+    margin = np.full((len(scene.items) + count,) * 2, 2 * scene.epsilon)
+    margin[:count, :] = scene.epsilon + beside
+    margin[:, :count] = scene.epsilon + scene.return_tolerance
+    straight = distances(scene, depots)
+    return leg_time(np.maximum(0.0, straight - margin), scene.v_max, scene.a_max)
 
 
 def _one_tree(cost: Array) -> float:

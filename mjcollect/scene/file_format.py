@@ -67,6 +67,7 @@ class _SceneFile(BaseModel):
     physics_step: FiniteFloat = 0.02
     clearance: FiniteFloat = 0.0
     separation: FiniteFloat = 0.0
+    more_depots: list[Point] = []
     moving: list[_MovingBox] = []
     origin: _Origin | None = None
 

@@ -13,6 +13,7 @@ from dm_control import mjcf
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.scene.assets import asset_path
+from mjcollect.scene.order import node_name
 from mjcollect.scene.scene import Scene
 
 # These are names in the compiled model.
@@ -70,21 +71,22 @@ def build(
     for index, item in enumerate(scene.items):
         root.worldbody.add(
             "site",
-            name=f"item_{index}",
+            name=site_name(index),
             pos=item,
             size=(scene.epsilon,),
             material="glow",
             rgba=ITEM_RGBA,
         )
-    root.worldbody.add(
-        "site",
-        name="depot",
-        type="cylinder",
-        pos=scene.depot,
-        size=(scene.return_tolerance, 0.3),
-        material="glow",
-        rgba=DEPOT_RGBA,
-    )
+    for index, depot in enumerate(scene.depots):
+        root.worldbody.add(
+            "site",
+            name=site_name(-1 - index),
+            type="cylinder",
+            pos=depot,
+            size=(scene.return_tolerance, 0.3),
+            material="glow",
+            rgba=DEPOT_RGBA,
+        )
     for number in range(uavs):
         name = uav_name(number, uavs)
         _add_quadrotor(root, scene, visual_scale, name)
@@ -96,6 +98,11 @@ def build(
             # margin, which is none. With constraints disabled it would not look for contacts.
             body.margin, body.gap = -NEVER, NEVER
     return root
+
+
+def site_name(node: int) -> str:
+    """Returns the name in the model of a node's site: item_3, depot for -1, depot_1 for -2."""
+    return node_name(node).replace(" ", "_")
 
 
 def uav_name(number: int, uavs: int) -> str:

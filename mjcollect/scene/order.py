@@ -80,9 +80,9 @@ def tour_length(scene: Scene, order: Sequence[int]) -> float:
     return float(np.sum(np.linalg.norm(np.diff(stops, axis=0), axis=1)))
 
 
-def distances(scene: Scene) -> Array:
-    """Returns the straight distances (K+1, K+1) in m; row and column 0 are the depot."""
-    nodes = np.concatenate([[scene.depot], scene.items])
+def distances(scene: Scene, depots: Array | None = None) -> Array:
+    """Returns the straight distances (D+K, D+K) in m; depots (D, 3) are first, or the depot."""
+    nodes = np.concatenate([scene.depot[None] if depots is None else depots, scene.items])
     return np.asarray(np.linalg.norm(nodes[:, None] - nodes[None], axis=-1))
 
 
@@ -193,8 +193,10 @@ def _checked(cost: Array, count: int) -> Array:
 
 
 def node_name(node: int) -> str:
-    """Returns the name of a node: 'depot', or 'item 3'."""
-    return "depot" if node < 0 else f"item {node}"
+    """Returns the name of a node: 'item 3', 'depot' for -1, or 'depot 1' for the next, -2."""
+    if node >= 0:
+        return f"item {node}"
+    return "depot" if node == DEPOT else f"depot {DEPOT - node}"
 
 
 # `from` is a keyword of Python, hence the functional form.

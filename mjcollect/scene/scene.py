@@ -20,10 +20,11 @@ import numpy as np
 
 from mjcollect.geometry.boxes import point_box_distance
 from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.enclosure import Space, walled_in
+from mjcollect.geometry.enclosure import Space
 from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.turns import around, turned
 from mjcollect.scene.assets import asset_path
+from mjcollect.scene.depots import check_inside, check_moving_box, check_open, check_room
 from mjcollect.scene.file_format import SceneError, parse, read_text
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.place import Origin
@@ -42,6 +43,7 @@ POSITIVE_LIMITS = (
     "physics_step",
 )
 _SHAPES = {"bounds": (2, 3), "depot": (3,), "items": (-1, 3), "obstacles": (-1, 2, 3), "yaw": (-1,)}
+_SHAPES |= {"more_depots": (-1, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,7 @@ class Scene:
         seed: seed that the scene was drawn with (0 if made by hand).
         bounds: (2, 3), minimum and maximum corner; the body's centre may lie on them.
         depot: (3,), start and end of the mission.
+        more_depots: (D - 1, 3), where UAVs of a fleet start and end as well, see `depots`.
         items: (K, 3), K >= 1.
         obstacles: (M, 2, 3), boxes as minimum and maximum corner before they are turned.
         clearance: distance to keep between the body and boxes, at least.
@@ -91,6 +94,7 @@ class Scene:
     yaw: Array = field(default_factory=lambda: np.zeros(0))
     no_fly: tuple[int, ...] = ()
     separation: float = 0.0
+    more_depots: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
         """Freezes the arrays and refuses what cannot be flown.
@@ -155,12 +159,22 @@ class Scene:
         """Returns `boxes` in a tree, for questions about those that are near."""
         return Tree.of(self.boxes)
 
+    @property
+    def depots(self) -> Array:
+        """Returns all depots (D, 3), the first one first; UAV m of a fleet has number m mod D."""
+        return np.concatenate([self.depot[None], self.more_depots])
+
+    @property
+    def nodes(self) -> range:
+        """Returns all nodes, of which those below 0 are depots: -1 is the depot, then -2..."""
+        return range(-len(self.depots), len(self.items))
+
     def point(self, node: int) -> Array:
-        """Returns the position (3,) of item `node`, or of the depot for -1."""
-        return self.depot if node < 0 else self.items[node]
+        """Returns the position (3,) of item `node`, of the depot for -1, or of others for -2..."""
+        return self.items[node] if node >= 0 else self.depots[-1 - node]
 
     def tolerance(self, node: int) -> float:
-        """Returns within how many metres of item `node` (or the depot, -1) the UAV must rest."""
+        """Returns within how many metres of item `node` (or a depot, < 0) the UAV must rest."""
         return self.return_tolerance if node < 0 else self.epsilon
 
     # Input and output
@@ -203,6 +217,8 @@ class Scene:
             ],
         }
         document |= {limit: getattr(self, limit) for limit in POSITIVE_LIMITS}
+        more = self.more_depots.tolist()
+        document |= {"more_depots": more} if more else {}
         moving = [box.to_dict() for box in self.moving]
         document |= {"moving": moving} if moving else {}
         for name in ("clearance", "separation"):
@@ -265,10 +281,7 @@ class Scene:
                 _box_dict(self.bounds),
                 f"must be at least 2 * uav_radius = {2 * self.uav_radius} m wide on every axis",
             )
-        if not _inside(self.depot, self.bounds):
-            raise SceneError(
-                "depot", self.depot.tolist(), "lies outside the bounds; move it inside"
-            )
+        check_inside(self.depots, self.bounds)
         for name in ("epsilon", "return_tolerance"):
             value = getattr(self, name)
             if value >= np.linalg.norm(high - low):
@@ -297,14 +310,7 @@ class Scene:
                     f"obstacles[{index}]", _box_dict(self.obstacles[index]),
                     "reaches outside the bounds; clip it or widen the bounds",
                 )  # fmt: skip
-        distance = point_box_distance(self.depot, self.boxes)
-        for index in np.flatnonzero(distance < self.reach).tolist():
-            raise SceneError(
-                "depot",
-                self.depot.tolist(),
-                f"is {distance[index]:.3g} m from obstacles[{index}], closer than the body's "
-                f"radius uav_radius = {self._reach_text()} m; move the depot or the obstacle",
-            )
+        check_room(self.depots, self.boxes, self.reach, self._reach_text())
 
     def _reach_text(self) -> str:
         more = f" and clearance {self.clearance}" if self.clearance else ""
@@ -329,10 +335,7 @@ class Scene:
                 if k > 0 and np.linalg.norm(point - path[k - 1]) < LIMIT_RANGE[0]:
                     fix = "is the point before it; leave one of them out"
                     raise SceneError(f"{field}.path[{k}]", point.tolist(), fix)
-            gap = point_box_distance(self.depot, box.box_at(0.0)[None])[0]
-            if gap < self.reach:
-                fix = "stands on the depot at first; begin its path elsewhere"
-                raise SceneError(f"{field}.path[0]", path[0].tolist(), fix)
+            check_moving_box(self.depots, box, self.reach, field)
 
     def _check_points(self) -> None:
         if len(self.items) == 0:
@@ -355,15 +358,7 @@ class Scene:
                 )
         space = Space(self.bounds, self.tree, self.reach, self.depot, self.items, self.epsilon)
         more = f" and its clearance of {self.clearance} m" if self.clearance else ""
-        for node in walled_in(space):
-            field = "depot" if node < 0 else f"items[{node}]"
-            raise SceneError(
-                field,
-                self.point(node).tolist(),
-                "is walled in: obstacles close it off from "
-                + ("every item" if node < 0 else "the depot")
-                + f"; open a passage wider than the body{more} or move it",
-            )
+        check_open(space, self.more_depots, more)
 
 
 def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:

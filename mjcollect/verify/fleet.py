@@ -85,8 +85,8 @@ def verify_fleet(folder: str | os.PathLike[str]) -> list[Violation | Encounter]:
 
     Raises:
         OSError, SceneError, ValueError, KeyError: the folder holds no finished run, or its parts
-            are not the scene's: boxes or limits differ, an item is in none or two, or a place at
-            the depot lies outside of its tolerance.
+            are not the scene's: boxes or limits differ, an item is in none or two, or a place lies
+            within the tolerance of no depot, or of another one than the result says.
     """
     folder = Path(folder)
     scene = Scene.load(folder / "scene.json")
@@ -96,7 +96,7 @@ def verify_fleet(folder: str | os.PathLike[str]) -> list[Violation | Encounter]:
     for mission in result["missions"]:
         own = folder / mission["folder"]
         part = Scene.load(own / "scene.json")
-        if not _is_part(scene, part, mission["items"]):
+        if not _is_part(scene, part, mission["items"], mission.get("depot")):
             raise ValueError(f"{own / 'scene.json'}: is no part of {folder / 'scene.json'}")
         items += mission["items"]
         flights.append(Trajectory.load(own / "trajectory.csv"))
@@ -106,11 +106,18 @@ def verify_fleet(folder: str | os.PathLike[str]) -> list[Violation | Encounter]:
     return [*found, *verify_separation(scene, flights)]
 
 
-def _is_part(scene: Scene, part: Scene, items: Sequence[int]) -> bool:
-    """Returns whether a scene is that of one UAV of a fleet, which collects `items` in order."""
+def _is_part(scene: Scene, part: Scene, items: Sequence[int], depot: int | None) -> bool:
+    """Returns whether a scene is that of one UAV of a fleet, which collects `items` in order.
+
+    Its place is at the scene's depot of number `depot`, or at any of them if that is None.
+    """
     whole, own = scene.to_dict(), part.to_dict()
     for key in ("name", "items", "depot", "return_tolerance"):
         del whole[key], own[key]
-    away = float(np.linalg.norm(part.depot - scene.depot))
+    whole.pop("more_depots", None)  # A part has its own place only.
+    if depot is not None and depot not in range(len(scene.depots)):
+        return False
+    depots = scene.depots if depot is None else scene.depots[[depot]]
+    away = float(np.linalg.norm(depots - part.depot, axis=1).min())
     at_depot = away + part.return_tolerance <= scene.return_tolerance + TOLERANCE
     return whole == own and at_depot and np.array_equal(part.items, scene.items[list(items)])

@@ -123,8 +123,8 @@ def test_wandering_paths_meet_in_all_ways():
     kinds = set()
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        one, other = wander(rng, 80, 0.5), wander(rng, 15, 0.5)
-        found = first_meeting(one, 80, other, 15, 1.0, 1.0)
+        one, other = wander(rng, 40, 0.5), wander(rng, 15, 0.5)
+        found = first_meeting(one, 40, other, 15, 1.0, 1.0)
         kinds.add("never" if found < 0 else "late" if found >= 15 else "soon")
         if np.linalg.norm(one[0] - other[0]) < 1.0:
             kinds.add("near at first")
@@ -140,7 +140,7 @@ def test_a_meeting_between_two_rows_is_found():
     scene = arena(0)  # keeps 2 m
     world = World.stack([scene])
     for aside, met in ((1.999, True), (2.001, False)):
-        path = np.stack([one, other + [0, aside - 0.5, 0]])
+        path = np.stack([one, other + np.array([0, aside - 0.5, 0])])
         np.testing.assert_array_equal(too_near(world, 2, path), [[met], [met]])
     assert not too_near(world, 1, path).any()
 

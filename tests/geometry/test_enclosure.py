@@ -152,7 +152,7 @@ def flood(made, spacing):
 
 def test_random_mazes_agree_with_a_flood_fill(monkeypatch):
     """What a flood fill reaches is never refused; most of what it does not reach is."""
-    monkeypatch.setattr("mjcollect.scene.scene.walled_in", lambda space: [])
+    monkeypatch.setattr("mjcollect.scene.depots.walled_in", lambda space: [])
     rng = np.random.default_rng(4)
     refused = unreached = reachable = 0
     for _ in range(15):

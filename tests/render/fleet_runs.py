@@ -18,14 +18,16 @@ BOXES = [[[60, 60, 0], [80, 80, 50]], [[100, 20, 0], [120, 60, 70]]]
 BOUND, SHIELDED = 9.5, np.array([[1.0, 1.4]])
 
 
-def scene_of(items: list = ITEMS) -> Scene:
+def scene_of(items: list = ITEMS, more_depots: list | tuple = ()) -> Scene:
     bounds = [[0, 0, 0], [200, 200, 200]]
-    return Scene("fleet", 0, bounds, [10, 10, 5], items, BOXES)  # type: ignore[arg-type]
+    return Scene("fleet", 0, bounds, [10, 10, 5], items, BOXES, more_depots=more_depots)  # type: ignore[arg-type]
 
 
-def write_run(folder: Path, tours=TOURS, uavs: int = 4, ended: dict | None = None) -> Path:
+def write_run(
+    folder: Path, tours=TOURS, uavs: int = 4, ended: dict | None = None, more_depots=()
+) -> Path:
     """A run folder; `ended` cuts the flights of UAVs to so many rows."""
-    scene, missions = scene_of(), []
+    scene, missions = scene_of(more_depots=more_depots), []
     for uav, (part, tour) in enumerate(zip(parts(scene, tours), tours, strict=True)):
         own = folder / "uavs" / str(uav)
         own.mkdir(parents=True)

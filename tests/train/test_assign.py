@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,3 +56,19 @@ def test_items_nearer_to_a_wall_than_the_body_can_be_are_shared_too(tmp_path, ca
     ways = [np.hypot(34.3, 40.0) + 40.0, np.hypot(30.0, 45.0) + 45.0]
     assert cost[0, 1] > leg_time(min(ways) - 2 * 1.5 - 2.0, 15.0, 5.0)
     assert cost[0, 1] < leg_time(min(ways) + 8.0, 15.0, 5.0)
+
+
+def test_it_prints_each_uav_s_depot(tmp_path, capsys):
+    scene = replace(Scene.find("city_6"), more_depots=[[1000.0, 1000.0, 0.0]])
+    scene.save(tmp_path / "two.json")
+    assert assign.main(["--scene", str(tmp_path / "two.json"), "--uavs", "3", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["depots"] == [0, 1, 0]
+    cost = travel_times(scene, 2)
+    pairs = zip(said["tours"], said["depots"], strict=True)
+    assert said["times"] == pytest.approx([tour_time(cost, tour, home, 2) for tour, home in pairs])
+    assert said["lower_bound"] <= said["makespan"] == max(said["times"])
+    assert assign.main(["--scene", str(tmp_path / "two.json"), "--uavs", "3"]) == 0
+    table = capsys.readouterr().out
+    assert "| depot |" in table.splitlines()[0]
+    assert table.splitlines()[3].endswith("| 1 |")

@@ -16,6 +16,7 @@ from mjcollect.planners.assignment import Tours
 from mjcollect.planners.fleet_pilot import by_planners
 from mjcollect.planners.fleets import fleet_tours
 from mjcollect.planners.mpc import Mpc
+from mjcollect.scene.depots import depot_of
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
 from train.fleets.report import Sharing
@@ -54,10 +55,13 @@ def share_scene(scene: Scene, uavs: int, seed: int) -> Sharing:
 
     Raises:
         TourError, SceneError, GuidanceError: the items cannot be shared, or so many UAVs find no
-            room at the depot, or an item cannot be reached.
+            room at a depot, or an item cannot be reached.
     """
-    tours: Tours = tuple(tour for tour in fleet_tours(scene, uavs, seed=seed) if tour)
-    return Sharing(scene, uavs, tours, courses(scene, tours))
+    shared = fleet_tours(scene, uavs, seed=seed)
+    flying = [uav for uav, tour in enumerate(shared) if tour]
+    tours: Tours = tuple(shared[uav] for uav in flying)
+    depots = tuple(depot_of(uav, len(scene.depots)) for uav in flying)
+    return Sharing(scene, uavs, tours, courses(scene, tours, depots), depots)
 
 
 def finished_fleet(run: Path, scene: Scene) -> tuple[Sharing, int]:
@@ -72,7 +76,9 @@ def finished_fleet(run: Path, scene: Scene) -> tuple[Sharing, int]:
             f"--run: {run}: holds no fleet.json; leave --uavs out to fly a mission again"
         )
     tours = tuple(tuple(mission["items"]) for mission in result["missions"])
-    return Sharing(scene, result["uavs"], tours, courses(scene, tours)), result["seed"]
+    depots = tuple(mission.get("depot", 0) for mission in result["missions"])
+    flown = courses(scene, tours, depots)
+    return Sharing(scene, result["uavs"], tours, flown, depots), result["seed"]
 
 
 def fleet_policies(run: Path, sharing: Sharing) -> list[TrainedPolicy]:

@@ -36,12 +36,15 @@ class Sharing:
     Attributes:
         scene: the whole scene. uavs: how many there are.
         tours: items of those that have any, in the order of visit. courses: their courses.
+        depots: the numbers of their depots, which places in `tours` do not tell where UAVs without
+            items are left out; none if all are at the first.
     """
 
     scene: Scene
     uavs: int
     tours: Tours
     courses: tuple[Course, ...]
+    depots: tuple[int, ...] = ()
 
     @property
     def method(self) -> str:
@@ -84,6 +87,7 @@ def write_fleet(
                 "made_room_share": flown.made_room[index],
                 "ended": flown.ended[index],
             }
+            | ({"depot": sharing.depots[index]} if len(scene.depots) > 1 else {})
         )
     tracks = [flight.trajectory for flight in flown.flights]
     violations.sort(key=lambda entry: entry["t"])
@@ -169,10 +173,12 @@ def fleet_report(folder: Path, result: dict[str, Any], plots: bool, notes: Seque
             f"{mission['shield_share']:.1%}",
             f"{mission['made_room_share']:.1%}",
             mission["ended"],
+            *([str(mission["depot"])] if "depot" in mission else []),
         ]
         for mission in result["missions"]
     ]
-    lines += ["", *markdown_table(COLUMNS, rows), ""]
+    columns = [*COLUMNS, *(["depot"] if "depot" in result["missions"][0] else [])]
+    lines += ["", *markdown_table(columns, rows), ""]
     lines += [
         "Shield: share of the slots in which it changed the command, before boxes or other UAVs. "
         "Made room: share in which the UAV left the way to another one.",
