@@ -311,7 +311,7 @@ def make_simulations(
     disturbances: Disturbances | None = None,
     uavs: int = 1,
 ) -> Simulations:
-    """Returns `config.envs` flights for a trainer, on one course or one each, in fleets of `uavs`."""
+    """Returns `config.envs` flights for a trainer, on one course or one each, `uavs` to a fleet."""
     return Simulations(
         courses,
         config.envs,

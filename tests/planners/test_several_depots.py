@@ -176,7 +176,7 @@ def test_many_items_have_a_bound_that_is_not_far_below():
 def test_a_leg_out_may_begin_beside_a_depot():
     """UAVs of a depot start up to return_tolerance from it, which makes their legs out shorter."""
     scene = several(2, 8)
-    both = leg_bounds(scene, scene.depots)
+    both = leg_bounds(scene, scene.depots, scene.return_tolerance)
     np.testing.assert_allclose(both[:2, 2:], both[2:, :2].T)
     assert np.all(both[0, 2:] < leg_bounds(scene)[0, 1:])
     assert fleet_bound(scene, 1) == pytest.approx(mission_bound(scene))
