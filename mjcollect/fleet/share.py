@@ -17,6 +17,7 @@ from mjcollect.scene.scene import Scene
 GRID = 13  # Places at the depot are looked for on a grid of so many points along each axis,
 SHARES = np.linspace(0.45, 0.0, 19)  # first such that stops may miss them by such shares of the
 # depot's tolerance.
+STEEP = 12  # The force between places falls with this power of their distance.
 LEAST = 0.02  # A stop may miss its place by this share at least.
 
 
@@ -36,19 +37,13 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     whole = scene.return_tolerance
     axis = np.linspace(-whole, whole, GRID)
     offset = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    offset = np.concatenate([offset, _ring(count) * whole])
-    size = np.linalg.norm(offset, axis=1)
+    offset = np.concatenate([offset, _ring(count) * 2 * whole])
+    size = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9)
     for share in SHARES:
         tolerance = max(share, LEAST) * whole
-        # Rings reach out as far as they may; the grid's points must lie within.
-        inner = whole - tolerance
-        found = np.where(
-            size[:, None] > inner, offset * (inner / np.maximum(size, 1e-9))[:, None], offset
-        )
-        found = found[(size <= inner + 1e-9) | (np.arange(len(size)) >= GRID**3)]
-        free = _free(scene, depot, depot + found)
-        chosen = spread(free, count, scene.apart + 2 * tolerance)
-        if chosen is not None:
+        within = offset * np.minimum((whole - tolerance) / size, 1.0)
+        chosen = spread(_free(scene, depot, depot + within), count)
+        if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
             return chosen, tolerance
     raise SceneError(
         "return_tolerance", whole,
@@ -74,18 +69,37 @@ def _free(scene: Scene, depot: Array, points: Array) -> Array:
     return points[clear]
 
 
-def spread(points: Array, count: int, apart: float) -> Array | None:
-    """Returns `count` of points (n, 3), each the farthest from those before; None if too near."""
+def spread(points: Array, count: int) -> Array | None:
+    """Returns `count` of points (n, 3) that are far from each other; None if there are fewer.
+
+    First each is the farthest from those before. Then they move one by one, like charges whose
+    force falls steeply with the distance, until none is better placed elsewhere.
+    """
     if len(points) < count:
         return None
     chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
-    gap = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:
-        chosen.append(int(gap.argmax()))
-        if gap[chosen[-1]] < apart:
-            return None
-        gap = np.minimum(gap, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(_push(points, points[chosen]).argmin()))
+    moved = True
+    while moved:
+        moved = False
+        for uav in range(count):
+            push = _push(points, points[chosen[:uav] + chosen[uav + 1 :]])
+            to = int(push.argmin())
+            if push[to] < push[chosen[uav]] * (1 - 1e-9):
+                chosen[uav], moved = to, True
     return points[chosen]
+
+
+def _push(points: Array, others: Array) -> Array:
+    """Returns how hard others (m, 3) push at points (n, 3), as a number (n,)."""
+    gap = np.linalg.norm(points[:, None] - others, axis=2)
+    return np.asarray(np.sum(np.maximum(gap, 1e-9) ** -STEEP, axis=1))
+
+
+def least_gap(points: Array) -> float:
+    """Returns the distance (m) of the two of points (n, 3) that are nearest to each other."""
+    return min(float(np.linalg.norm(one - other)) for one, other in combinations(points, 2))
 
 
 def parts(
