@@ -14,7 +14,7 @@ from mjcollect.scene.depots import depot_field, depot_of
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 
-GRID = 13  # Places at the depot are looked for on a grid of so many points along each axis,
+GRID = 17  # Places are looked for in the directions of a cube's surface with such a grid,
 SHARES = np.linspace(0.45, 0.0, 19)  # first such that stops may miss them by such shares of the
 # depot's tolerance.
 STEEP = 12  # The force between places falls with this power of their distance.
@@ -35,14 +35,14 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     if count == 1:
         return depot[None].copy(), scene.return_tolerance
     whole = scene.return_tolerance
-    axis = np.linspace(-whole, whole, GRID)
-    offset = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    offset = np.concatenate([offset, _ring(count) * 2 * whole])
-    size = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-9)
+    # All places lie on one sphere: one inside of others could not be reached once they are taken.
+    axis = np.linspace(-1.0, 1.0, GRID)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    outer = grid[np.abs(grid).max(axis=1) == 1.0]
+    ways = np.concatenate([outer / np.linalg.norm(outer, axis=1, keepdims=True), _ring(count)])
     for share in SHARES:
         tolerance = max(share, LEAST) * whole
-        within = offset * np.minimum((whole - tolerance) / size, 1.0)
-        chosen = spread(_free(scene, depot, depot + within), count)
+        chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
         if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
             return chosen, tolerance
     raise SceneError(
