@@ -14,11 +14,10 @@ from mjcollect.scene.depots import depot_field, depot_of
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 
-GRID = 17  # Places are looked for in the directions of a cube's surface with such a grid,
-SHARES = np.linspace(0.45, 0.0, 19)  # first such that stops may miss them by such shares of the
-# depot's tolerance.
+GRID = 13  # Places are looked for in the directions of a cube's surface with such a grid.
+SHARES = 0.025 * np.arange(1, 19)  # Stops may miss them by one of these shares of the depot's
+# tolerance, the greatest for which there is room.
 STEEP = 12  # The force between places falls with this power of their distance.
-LEAST = 0.02  # A stop may miss its place by this share at least.
 
 
 def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
@@ -40,11 +39,17 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     outer = grid[np.abs(grid).max(axis=1) == 1.0]
     ways = np.concatenate([outer / np.linalg.norm(outer, axis=1, keepdims=True), _ring(count)])
-    for share in SHARES:
-        tolerance = max(share, LEAST) * whole
+    best, low, high = None, 0, len(SHARES)
+    while low < high:  # The greatest share for which there is room is bisected.
+        middle = (low + high) // 2
+        tolerance = float(SHARES[middle]) * whole
         chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
         if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
-            return chosen, tolerance
+            best, low = (chosen, tolerance), middle + 1
+        else:
+            high = middle
+    if best is not None:
+        return best
     raise SceneError(
         "return_tolerance", whole,
         f"{count} UAVs that keep {scene.apart:g} m apart find no room within it at "
