@@ -259,6 +259,25 @@ def test_mujoco_senses_two_uavs_that_touch(solid):
     assert alone.geom("quadrotor/body").conaffinity == 0  # as it was before there were fleets
 
 
+def test_two_uavs_bounce_off_each_other_far_from_any_box(blind):
+    """Without the shield: the simulation looks for contacts wherever two may meet."""
+    scene = arena(0, boxes=0)
+    rules = Rules(shield=False)
+    sims = Simulations([among(blind, scene)], 2, rules=rules, threads=1, uavs=2)
+    sims.reset()
+    q, v = np.array([[40.0, 10, 10], [50, 10, 10]]), np.array([[10.0, 0, 0], [-10, 0, 0]])
+    sims.place(np.arange(2), q, v)
+    contacts, nearest = [], np.inf
+    for _ in range(6):
+        sims.step(np.zeros((2, 3)))
+        contacts.append((sims._sensors > 0).any(axis=(0, 1)))
+        nearest = min(nearest, pair_gaps(*sims.path).min())
+    np.testing.assert_array_equal(np.any(contacts, axis=0), [True, True])
+    assert 0.5 < nearest < 2 * RADIUS  # They do not fly through each other.
+    assert sims.path[0, -1, 0] < sims.path[1, -1, 0]
+    sims.close()
+
+
 def test_fleets_side_by_side_do_not_influence_each_other(blind):
     scene, uavs = arena(7, boxes=10), 3
     course, rng = among(blind, scene), np.random.default_rng(7)
