@@ -44,7 +44,7 @@ from train.fleets.fly import (
     pilot_of,
     share_scene,
 )
-from train.fleets.report import finish_fleet, write_fleet
+from train.fleets.report import Sharing, finish_fleet, write_fleet
 from train.support.arguments import check_least
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.disturbed_mission import (
@@ -250,6 +250,7 @@ def fly_fleet_mission(args: Args) -> int:
     policies: list[TrainedPolicy] = []
     if args.run is not None:
         sharing, seed = finished_fleet(args.run, scene)
+        check_same_fleet(args, sharing, seed)
         names = [args.run.resolve().name]
         if args.planner == "policy":
             policies = fleet_policies(args.run, sharing)
@@ -298,6 +299,21 @@ def fly_fleet_mission(args: Args) -> int:
     write_fleet(folder, sharing, flown, args.planner, seed, trained, plots=args.plots)
     folder.unlock()
     return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+
+
+def check_same_fleet(args: Args, sharing: Sharing, seed: int) -> None:
+    """Refuses flags that contradict the run that is flown again.
+
+    Raises:
+        RunError: --uavs, --scene or --seed differs from the run's.
+    """
+    if args.uavs not in (1, sharing.uavs):
+        raise RunError(f"--uavs: {args.uavs}: the run's is {sharing.uavs}; leave it out with --run")
+    if args.seed not in (None, seed):
+        raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
+    other = None if args.scene is None else Scene.find(args.scene)
+    if other is not None and (difference := scene_difference(sharing.scene, other)):
+        raise RunError(f"--scene: {args.scene}: is not the run's: {difference}; leave it out")
 
 
 def _train(

@@ -31,6 +31,7 @@ from mjcollect.scene.trajectory import Recorder
 
 HOME, STANDING, MOVING = "home", "standing box", "moving box"
 OUTSIDE, LATE = "out of bounds", "too late"
+MET = "too near to another UAV"  # only in a fleet
 ENDS = (HOME, STANDING, MOVING, OUTSIDE, LATE)  # A flight ends in one of these ways.
 CONFIDENCE = 0.95
 CLEAR = 20.0  # A box that is drawn begins at least this far (m) from where the flight begins.
@@ -333,7 +334,7 @@ class Track:
             self._arrivals.append(len(self._shielded) * scene.substeps * scene.physics_step)
         for happened, end in (
             (outcome.success, HOME),
-            (outcome.struck, MOVING),
+            (outcome.struck, MOVING if sims.uavs == 1 else MET),
             (slot.contact, STANDING),
             (slot.outside, OUTSIDE),
             (outcome.truncated, LATE),

@@ -15,7 +15,7 @@ from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.scene import Scene
 
 GRID = 13  # Places are looked for in the directions of a cube's surface with such a grid.
-SHARES = 0.025 * np.arange(1, 19)  # Stops may miss them by one of these shares of the depot's
+SHARES = 0.025 * np.arange(18, 0, -1)  # Stops may miss them by one of these shares of the depot's
 # tolerance, the greatest for which there is room.
 STEEP = 12  # The force between places falls with this power of their distance.
 
@@ -39,17 +39,11 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
     outer = grid[np.abs(grid).max(axis=1) == 1.0]
     ways = np.concatenate([outer / np.linalg.norm(outer, axis=1, keepdims=True), _ring(count)])
-    best, low, high = None, 0, len(SHARES)
-    while low < high:  # The greatest share for which there is room is bisected.
-        middle = (low + high) // 2
-        tolerance = float(SHARES[middle]) * whole
+    for share in SHARES:
+        tolerance = float(share) * whole
         chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
         if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
-            best, low = (chosen, tolerance), middle + 1
-        else:
-            high = middle
-    if best is not None:
-        return best
+            return chosen, tolerance
     raise SceneError(
         "return_tolerance", whole,
         f"{count} UAVs that keep {scene.apart:g} m apart find no room within it at "

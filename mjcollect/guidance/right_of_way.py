@@ -32,7 +32,7 @@ ROOM = 1.1  # The one that makes room keeps so many times that distance from the
 SIGHT = 100  # The other's path is looked at for so many times the distance that UAVs keep apart.
 CELLS = 81  # Places are looked for on a lattice of so many points along each axis,
 SPACINGS = (0.35, 0.7, 1.4)  # with such shares of the distance that UAVs keep apart between them.
-LONGEST = 60  # Ways to a place have at most so many corners.
+LONGEST = 60  # Of a way to a place so many corners are flown.
 PATIENCE = 60.0  # s after which one that waits flies on in any case
 COLUMNS = 8 + 3 * LONGEST  # of the state, see `RightOfWay`
 
@@ -145,7 +145,8 @@ def way_to_room(
             length, at = 0, cell
             while at != first:
                 length, at = length + 1, came[at]
-            length = min(length, len(route))
+            if length > len(route):
+                return 0
             at = cell
             for p in range(length - 1, -1, -1):
                 for k in range(3):
@@ -244,7 +245,7 @@ class RightOfWay:
         self.uavs = uavs
         self.load(np.zeros((count, COLUMNS)))
         self.asked_by[:] = -1
-        self._points = np.empty((SIGHT, 3))
+        self._points, self._way = np.empty((SIGHT, 3)), np.empty((CELLS**2, 3))
         self._came = np.empty(CELLS**3, dtype=np.int32)
         self._queue = np.empty(CELLS**3, dtype=np.int32)
 
@@ -351,11 +352,12 @@ class RightOfWay:
         for spacing in SPACINGS:
             count = way_to_room(
                 world, w, seen.q[row], path, len(path), keep_off,
-                spacing * float(world.apart[w, 0]), self._came, self._queue, self.route[row],
+                spacing * float(world.apart[w, 0]), self._came, self._queue, self._way,
             )  # fmt: skip
             if count > 0:
                 tree, reach = tree_of(world, w), float(world.radius[w, 0])
-                self.count[row] = straightened(tree, reach, seen.q[row], self.route[row], count)
+                count = min(straightened(tree, reach, seen.q[row], self._way, count), LONGEST)
+                self.route[row, :count], self.count[row] = self._way[:count], count
                 self.at[row] = self.waited[row] = 0
                 self.asked_by[row], self.block[row] = other, seen.q[row]
                 if self.asked_by[other] == row:

@@ -258,7 +258,7 @@ class Scene:
         if not 0.0 <= self.clearance <= LIMIT_RANGE[1]:
             raise SceneError("clearance", self.clearance, "must be a number from 0 on")
         if self.separation and not 2 * self.uav_radius <= self.separation <= LIMIT_RANGE[1]:
-            fix = f"must be at least 2 * uav_radius = {2 * self.uav_radius:g} m"
+            fix = f"must lie from 2 * uav_radius = {2 * self.uav_radius:g} to {LIMIT_RANGE[1]:g} m"
             raise SceneError("separation", self.separation, fix)
         self._check_bounds()
         self._check_obstacles()

@@ -96,6 +96,8 @@ def verify_fleet(folder: str | os.PathLike[str]) -> list[Violation | Encounter]:
     for mission in result["missions"]:
         own = folder / mission["folder"]
         part = Scene.load(own / "scene.json")
+        if not set(mission["items"]) <= set(range(len(scene.items))):
+            raise ValueError(f"items: {mission['items']}: must be 0 to {len(scene.items) - 1}")
         if not _is_part(scene, part, mission["items"], mission.get("depot")):
             raise ValueError(f"{own / 'scene.json'}: is no part of {folder / 'scene.json'}")
         items += mission["items"]

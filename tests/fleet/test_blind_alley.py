@@ -47,7 +47,6 @@ def test_a_fleet_whose_first_one_rests_nearest_to_the_mouth_comes_home(tours):
     assert (fleet.slots > 0).all()
 
 
-@pytest.mark.xfail(strict=True, reason="bisected, though room does not always shrink with it")
 def test_places_lie_on_both_sides_of_a_depot_near_the_end():
     """3 m before and behind it: 6 m = 2 m that they keep apart + 2 * 2 m of tolerance."""
     scene = alley(3.0, 1.9)

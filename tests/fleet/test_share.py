@@ -44,7 +44,7 @@ def test_pads_keep_apart_free_near_and_in_sight(kind, uavs):
     scene = scene_at(kind)
     places, tolerance = pads(scene, uavs)
     assert places.shape == (uavs, 3)
-    assert tolerance >= SHARES[0] * scene.return_tolerance
+    assert tolerance >= SHARES[-1] * scene.return_tolerance
     offset = np.linalg.norm(places[:, None] - places, axis=2) + 1e9 * np.eye(uavs)
     # Wherever they rest within the tolerance, they keep apart.
     assert offset.min() >= scene.apart + 2 * tolerance - 1e-9

@@ -306,7 +306,6 @@ def bent_corridor() -> Scene:
     return Scene("bent", 0, bounds, places[0], places[1:], boxes, separation=4.0)
 
 
-@pytest.mark.xfail(strict=True, reason="of a way with more corners the first ones are left out")
 def test_a_long_way_to_room_is_free_from_its_beginning():
     """It has more corners than are kept."""
     scene = bent_corridor()

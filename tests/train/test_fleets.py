@@ -197,7 +197,6 @@ def test_a_crash_without_the_shield_is_code_1_and_says_why(crashed, capsys):
     assert "of UAVs 0 and 1, limit 2" in capsys.readouterr().out
 
 
-@pytest.mark.xfail(strict=True, reason="a UAV that came too near to another ends as `moving box`")
 def test_no_moving_box_is_blamed_where_there_is_none(crashed):
     ended = {entry["ended"] for entry in result_of(crashed[0])["missions"]}
     assert "moving box" not in ended
@@ -278,9 +277,6 @@ def test_a_run_that_does_not_fit_is_refused(flown, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="with --run the flags --uavs, --scene (and --seed) are ignored"
-)
 @pytest.mark.parametrize(("flag", "value"), [("--uavs", "3"), ("--scene", "scenario_1")])
 def test_flags_that_contradict_the_run_are_refused(flown, tmp_path, capsys, flag, value):
     again = ["--run", str(flown), "--planner", "guidance", *QUIET, flag, value]
