@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 from traffic import pair_gaps
 
-from mjcollect.fleet.share import pads
 from mjcollect.planners.fleet_bound import fleet_bound
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
@@ -165,11 +164,9 @@ def test_uavs_without_items_stay_at_home(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory) -> str:
-    """Each of two UAVs has to fly across the other's way, and at the same time."""
-    scene = made(items=[[180.0, 12, 12], [20, 12, 12]], obstacles=[])
-    first, second = pads(scene, 2)[0] - scene.depot
-    items = DEPOT + np.array([[40.0, 0, 0], [39.9, 0, 0]])
-    items += [2 * second, 2 * first]
+    """Two UAVs have to be at two items at the same time that are nearer than they keep apart."""
+    scene = made(items=[[180.0, 12, 12], [20, 12, 12]], obstacles=[], separation=6.0)
+    items = DEPOT + np.array([[40.0, 0, 0], [39.9, 3, 0]])
     path = tmp_path_factory.mktemp("hostile") / "hostile.json"
     replace(scene, items=items, epsilon=0.5).save(path)
     return str(path)
@@ -194,7 +191,7 @@ def test_a_crash_without_the_shield_is_code_1_and_says_why(crashed, capsys):
     assert "**No success.**" in report
     assert "separation of UAV 0 and UAV 1 at" in report
     assert verify_main([str(run)]) == 1
-    assert "of UAVs 0 and 1, limit 2" in capsys.readouterr().out
+    assert "of UAVs 0 and 1, limit 6" in capsys.readouterr().out
 
 
 def test_no_moving_box_is_blamed_where_there_is_none(crashed):
