@@ -247,11 +247,11 @@ def test_boxes_that_move_are_refused(tmp_path, capsys):
 @pytest.mark.parametrize("program", [fly, mission])
 def test_more_than_the_depot_has_room_for_are_refused(tmp_path, capsys, program):
     items = [[x, 12.0, z] for x in (20, 60, 140, 180) for z in (4, 20)]
-    made(items=items, obstacles=[], return_tolerance=1.6).save(tmp_path / "small.json")
+    made(items=items, obstacles=[], return_tolerance=1.2).save(tmp_path / "small.json")
     arguments = ["--scene", str(tmp_path / "small.json"), "--uavs", "30", *QUIET]
     assert program([*arguments, "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
-    assert re.search(r"return_tolerance: 1\.6: \d UAVs that keep 2 m apart find no room", error)
+    assert re.search(r"return_tolerance: 1\.2: \d UAVs that keep 2 m apart find no room", error)
     assert "take fewer UAVs" in error
     assert not (tmp_path / "run").exists()
 
