@@ -311,7 +311,8 @@ def test_a_long_way_to_room_is_free_from_its_beginning():
     scene = bent_corridor()
     start = np.array([10.0, 10, 1.5])
     path = np.array([[70.0, 66, 1.5], [24, 66, 1.5], [24, 10, 1.5], [4, 10, 1.5]])
-    route = searched(World.stack([scene]), start, path, np.empty((0, 3)), SPACINGS[0])
-    assert len(route) > 0
+    world, none = World.stack([scene]), np.empty((0, 3))
+    route = searched(world, start, path, none, SPACINGS[0], longest=4 * LONGEST)
+    assert len(route) > LONGEST
     whole = np.concatenate([start[None], route])
     assert gaps(dense(whole, spacing=0.05), scene.obstacles).min() >= RADIUS
