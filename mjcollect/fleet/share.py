@@ -41,6 +41,8 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     ways = np.concatenate([outer / np.linalg.norm(outer, axis=1, keepdims=True), _ring(count)])
     for share in SHARES:
         tolerance = float(share) * whole
+        if count > most_places(whole - tolerance, scene.apart + 2 * tolerance):
+            continue
         chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
         if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
             return chosen, tolerance
@@ -50,6 +52,17 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
         f"{'the depot' if number == 0 else depot_field(number)}; "
         "raise it, lower separation, or take fewer UAVs",
     )  # fmt: skip
+
+
+def most_places(radius: float, gap: float) -> float:
+    """Returns how many points of a sphere can at most be `gap` m from each other.
+
+    Round each there is a cap of the sphere that holds no part of another's cap.
+    """
+    if gap >= 2 * radius:
+        return 1.0 if gap > 2 * radius else 2.0
+    half = np.arcsin(gap / (2 * radius))  # half the angle between two, seen from the centre
+    return float(2.0 / (1.0 - np.cos(half)))
 
 
 def _ring(count: int) -> Array:
@@ -76,24 +89,25 @@ def spread(points: Array, count: int) -> Array | None:
     """
     if len(points) < count:
         return None
+    push_of = _pushes(points)
     chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     while len(chosen) < count:
-        chosen.append(int(_push(points, points[chosen]).argmin()))
+        chosen.append(int(push_of.take(chosen, axis=1).sum(axis=1).argmin()))
     moved = True
     while moved:
         moved = False
         for uav in range(count):
-            push = _push(points, points[chosen[:uav] + chosen[uav + 1 :]])
+            push = push_of.take(chosen[:uav] + chosen[uav + 1 :], axis=1).sum(axis=1)
             to = int(push.argmin())
             if push[to] < push[chosen[uav]] * (1 - 1e-9):
                 chosen[uav], moved = to, True
     return points[chosen]
 
 
-def _push(points: Array, others: Array) -> Array:
-    """Returns how hard others (m, 3) push at points (n, 3), as a number (n,)."""
-    gap = np.linalg.norm(points[:, None] - others, axis=2)
-    return np.asarray(np.sum(np.maximum(gap, 1e-9) ** -STEEP, axis=1))
+def _pushes(points: Array) -> Array:
+    """Returns how hard each of points (n, 3) pushes at each, as numbers (n, n)."""
+    gap = np.linalg.norm(points[:, None] - points, axis=2)
+    return np.asarray(np.maximum(gap, 1e-9) ** -STEEP)
 
 
 def least_gap(points: Array) -> float:
