@@ -50,7 +50,7 @@ def main(args: Args) -> list[float]:
     slots = min(course.step_limit, 150)
 
     def act(seen: torch.Tensor) -> torch.Tensor:
-        """Returns actions (N, 3) in [-1, 1], each of its own candidate, from observations (N, D)."""
+        """Returns actions (N, 3), each of its own candidate, from observations (N, D)."""
         return torch.tanh(torch.einsum("nd,ndk->nk", seen, weights[:, :-1]) + weights[:, -1])
 
     policy = TensorDictModule(act, in_keys=["observation"], out_keys=["action"])

@@ -67,7 +67,7 @@ def test_own_scene_is_flown_without_a_fault(tmp_path: Path) -> None:
 
 def test_own_scene_that_cannot_be_flown_is_refused_with_the_fix(tmp_path: Path) -> None:
     example = load("own_scene_to_mission")
-    with pytest.raises(SystemExit, match="error: v_max: 0.0: must be a positive number"):
+    with pytest.raises(SystemExit, match=r"error: v_max: .* must be a positive"):
         example.main(example.Args(out=tmp_path, v_max=0.0))
 
 
