@@ -52,12 +52,12 @@ def main(args: Args) -> dict[str, Evaluation]:
     course = mjcollect.Course.segment(scene, mjcollect.plan_order(scene, "lkh"), args.segment)
     best = {}
     for reward in ("progress", "lost"):
-        updates = 200 if args.quick else args.updates
+        updates = 100 if args.quick else args.updates
         config = mjcollect.LearnConfig(
             reward=reward,
             updates=updates,
-            eval_every=max(updates // 4, 1),
-            actor_delay=100,  # The critic learns alone for so many updates.
+            eval_every=100 if args.quick else 250,
+            demonstrations=1_000 if args.quick else 10_000,
             extra_updates=0,
         )
         trainer = mjcollect.segment_trainer(course, config, args.seed)

@@ -46,7 +46,8 @@ def on_config(config: Any) -> Any:
                 linked = (page.parent / target).resolve()
                 if linked.is_file() and linked.suffix != ".md" and linked.is_relative_to(ROOT):
                     _show(linked) if linked.suffix == ".py" else _copy(linked)
-    shutil.copy(Path(__file__).with_name("iframe-worker.js"), PAGES)
+    for name in ("iframe-worker.js", "site.css"):
+        shutil.copy(Path(__file__).with_name(name), PAGES)
     if REPLAYS.is_dir():
         shutil.copytree(REPLAYS, PAGES / "docs" / "replays")
     reference = _write_reference()
@@ -107,5 +108,6 @@ def _write_reference() -> list[str | dict[str, str]]:
 
 
 def _replays() -> str:
-    found = sorted(REPLAYS.glob("*.html")) if REPLAYS.is_dir() else []
-    return "\n".join(f"- [{file.stem.replace('_', ' ')}](replays/{file.name})" for file in found)
+    found = sorted(REPLAYS.glob("*.html"))
+    lines = [f"- [{file.stem.replace('_', ' ')}](replays/{file.name})" for file in found]
+    return "\n".join(lines or ["This build has none."])
