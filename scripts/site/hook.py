@@ -50,12 +50,7 @@ def on_config(config: Any) -> Any:
         shutil.copy(Path(__file__).with_name(name), PAGES)
     if REPLAYS.is_dir():
         shutil.copytree(REPLAYS, PAGES / "docs" / "replays")
-    reference = _write_reference()
-    for section in config.nav:
-        for entries in section.values():
-            for entry in entries if isinstance(entries, list) else []:
-                if isinstance(entry, dict) and entry.get("API"):
-                    entry["API"] = reference
+    _write_reference()
     config.docs_dir = str(PAGES)
     return config
 
@@ -82,14 +77,13 @@ def _show(file: Path) -> None:
     place.with_name(f"{file.name}.md").write_text(text, encoding="utf-8")
 
 
-def _write_reference() -> list[str | dict[str, str]]:
-    """Writes one page for each room and a page of all names, and returns them for the nav."""
+def _write_reference() -> None:
+    """Writes one page for each room and a page of all names."""
     homes = {f"mjcollect.{name}": home for name, home in mjcollect._HOME.items()}
     homes |= {f"{home}.{name}": home for name, home in MORE.items()}
     folder = PAGES / "api"
     folder.mkdir()
     index = ["# API", "", mjcollect.__doc__ or "", "", "| name | page |", "|---|---|"]
-    nav: list[str | dict[str, str]] = ["api/README.md"]
     for room in ROOMS:
         shown = {name: home for name, home in homes.items() if home.split(".")[1] == room}
         doc = importlib.import_module(f"mjcollect.{room}").__doc__ or ""
@@ -99,12 +93,10 @@ def _write_reference() -> list[str | dict[str, str]]:
             lines += [f"::: {path}", "    options:", f"      heading: {name}", ""]
             index.append(f"| [`{name}`][{path}] | [{room}]({room}.md) |")
         (folder / f"{room}.md").write_text("\n".join(lines), encoding="utf-8")
-        nav.append({room: f"api/{room}.md"})
     left = {name for name, home in homes.items() if home.split(".")[1] not in ROOMS}
     if left:
         raise SystemExit(f"error: scripts/site/hook.py: ROOMS: {sorted(left)} have no page")
     (folder / "README.md").write_text("\n".join(index) + "\n", encoding="utf-8")
-    return nav
 
 
 def _replays() -> str:
