@@ -72,11 +72,14 @@ class Simulations:
         """Compiles one model per distinct scene and prepares the threads.
 
         Args:
-            courses: one course for all simulations, or one each. count: N.
+            courses: one course for all simulations, or one each.
+            count: N.
             uavs: M, the number of UAVs in each MuJoCo simulation, whose flights follow each other
                 among the N; there are N / M simulations then.
-            rules: observation, reward and shield. start: kind of start states; rng: draws them.
-            threads: number of MuJoCo's threads. disturbances: those of these simulations, if any.
+            rules: observation, reward and shield.
+            start: kind of start states; rng: draws them.
+            threads: number of MuJoCo's threads.
+            disturbances: those of these simulations, if any.
         """
         rules = rules or Rules()
         if count % uavs:

@@ -97,7 +97,8 @@ class Course:
         """Returns the course of segment `index`, 0 to K, of a tour of K items.
 
         Args:
-            scene: scene of the tour. order: (K,) indices of the items in the order of visit.
+            scene: scene of the tour.
+            order: (K,) indices of the items in the order of visit.
             folder: folder from which to load saved guidance, if any.
 
         Raises:

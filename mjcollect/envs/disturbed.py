@@ -62,7 +62,8 @@ class DisturbedFlight:
     """Holds one flight.
 
     Attributes:
-        ended: how it ended, one of ENDS. air: what disturbed it, None in calm air.
+        ended: how it ended, one of ENDS.
+        air: what disturbed it, None in calm air.
         gave_way: share of the slots in which the shield kept less than its margin.
     """
 

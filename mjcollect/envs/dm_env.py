@@ -85,7 +85,8 @@ class FlightTask(control.Task):
         """Sets up the task.
 
         Args:
-            course: nodes to visit. rules: observation, reward and shield.
+            course: nodes to visit.
+            rules: observation, reward and shield.
             start: kind of start state, explained at `Course.starts`.
             random: seed or random state of the starts.
             others: courses of the other UAVs of a fleet, for `fleet.dm_env`.
@@ -258,10 +259,13 @@ def load(
             (with `uavs=M`), see `planners.fleets.fleet_environment`.
         scene: a `Scene`, a scene file, or the name of a bundled scene.
         order: method of the visiting order, as `plan_order` takes it; `seed` is for `random`.
-        observation, reward: names of the observation and the reward preset.
-        start: kind of start states, as `Course.starts` takes it. random: seed of the start states.
+        observation: name of the observation.
+        reward: name of the reward preset.
+        start: kind of start states, as `Course.starts` takes it.
+        random: seed of the start states.
         shield: whether to bend commands that leave no way to stop without touching anything.
-        environment_kwargs: arguments of `control.Environment`. task_kwargs: arguments of the task.
+        environment_kwargs: arguments of `control.Environment`.
+        task_kwargs: arguments of the task.
 
     Raises:
         ValueError: a name is unknown; the message lists the valid ones.

@@ -62,7 +62,8 @@ class Rules:
     """Says by which rules an episode runs.
 
     Attributes:
-        observation, reward: names in `OBSERVATIONS` and `PRESETS`. gamma: discount per slot.
+        observation, reward: names in `OBSERVATIONS` and `PRESETS`.
+        gamma: discount per slot.
         shield: whether to bend commands that leave no way to stop without touching anything.
         estimate: what decisions know of disturbances: what the flight shows (flight), all but the
             gusts to come (truth), or nothing (none). Commands counter what is known.
@@ -95,10 +96,12 @@ class Outcome:
     """Holds the result of one slot in N episodes, each (N,).
 
     Attributes:
-        reward: reward of the slot. slot: events of the slot.
+        reward: reward of the slot.
+        slot: events of the slot.
         terminated: whether the course was finished or a crash ended the episode.
         truncated: whether the step limit ended the episode.
-        success: whether the course was finished. shielded: whether the shield changed the command.
+        success: whether the course was finished.
+        shielded: whether the shield changed the command.
         room: share of its margin that the shield kept, 1 in calm air.
         struck: whether the body touched a moving box, or came too near to a UAV of its fleet.
     """

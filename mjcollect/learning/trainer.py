@@ -33,7 +33,8 @@ class Trainer:
             which is the best evaluated so far, or the last one if `config.flown` says so.
         last: last evaluation of the averaged actor, or of the actor where there is no average.
         rows: one dict per evaluation, the columns of metrics.csv.
-        finished: whether nothing is left to do. seconds: time spent (s), kept by the caller.
+        finished: whether nothing is left to do.
+        seconds: time spent (s), kept by the caller.
         endings, failures: (N,) episodes that ended in each simulation, and those without success.
     """
 
@@ -50,8 +51,10 @@ class Trainer:
         """Builds the networks and the random streams of `seed`.
 
         Args:
-            simulations: `config.envs` simulations to learn in. evaluator: flies the policies.
-            device: device of the networks. weights: state of an actor to start from, if any.
+            simulations: `config.envs` simulations to learn in.
+            evaluator: flies the policies.
+            device: device of the networks.
+            weights: state of an actor to start from, if any.
             lessons: of a teacher, on that device, if there is one.
         """
         self.config, self.seed, self.device = config, seed, device
