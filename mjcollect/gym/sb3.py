@@ -53,18 +53,15 @@ class FlightVecEnv(VecEnv):
         """Flies one slot and returns observations, rewards, dones and a dictionary each."""
         observations, rewards, terminated, truncated, infos = self.env.step(self._actions)
         rows, done = in_rows(infos), terminated | truncated
-        for index, row in enumerate(rows):
-            row["TimeLimit.truncated"] = bool(truncated[index])
-        for index in np.flatnonzero(done):
+        for index in np.flatnonzero(done).tolist():
             self.reset_infos[index] = rows[index]
-            ended = {
-                name: values[index].item() for name, values in self._named(infos["final_info"])
-            }
-            rows[index] = ended | {
-                "TimeLimit.truncated": bool(truncated[index]),
+            last = {name: values[index].item() for name, values in named(infos["final_info"])}
+            rows[index] = last | {
                 "terminal_observation": infos["final_obs"][index],
-                "is_success": ended["success"],
+                "is_success": last["success"],
             }
+        for row, cut_off in zip(rows, truncated.tolist(), strict=True):
+            row["TimeLimit.truncated"] = cut_off
         return observations, rewards.astype(np.float32), done, rows
 
     def close(self) -> None:
