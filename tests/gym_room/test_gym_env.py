@@ -26,7 +26,10 @@ from mjcollect.scene.order import plan_order
 
 # Observations have no bounds worth naming: some of their parts are distances.
 UNBOUNDED = "ignore:.*Box observation space (minimum|maximum) value is -?infinity"
-AHEAD = {"position": [376.0, 30.0, 30.0], "velocity": [1.0, 0.3, 0.0]}  # it stops in its goal's ball
+AHEAD = {
+    "position": [376.0, 30.0, 30.0],
+    "velocity": [1.0, 0.3, 0.0],
+}  # it stops in its goal's ball
 AT_A_BOX = {"position": [185.0, 20.0, 30.0], "velocity": [40.0, 0.0, 0.0]}
 
 

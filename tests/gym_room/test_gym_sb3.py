@@ -8,6 +8,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
+from examples import train_sb3
 from mjcollect.gym.env import FlightEnv
 from mjcollect.gym.sb3 import FlightVecEnv
 
@@ -66,3 +67,24 @@ def test_it_must_reset_in_the_same_step(make_vec):
 def test_single_ones_by_their_id(blocked_course, closing):
     venv = make_vec_env("mjcollect/Segment-v0", 2, env_kwargs={"course": blocked_course})
     assert closing(venv).reset().shape == (2, 62)
+
+
+def test_the_example_learns_and_compares(scene_file, capsys):
+    """A few slots, after which nothing is learned yet; docs/gymnasium.md has what it reaches."""
+    args = train_sb3.Args(str(scene_file), 0, seeds=(0,), slots=48, envs=4, starts=3)
+    train_sb3.main(args)
+    bound, law, learned = capsys.readouterr().out.splitlines()[1:]
+    least, taken = float(bound.split()[-2]), float(law.split(" in ")[1].split()[0])
+    assert law.startswith("guidance law: 100% arrive")
+    assert 0.0 < least <= taken < 2 * least
+    assert learned.startswith("SAC, seed 0: ")
+
+
+def test_the_examples_flights_are_judged_by_their_first_episodes(blocked_course):
+    """Those of the law arrive; who hovers never does."""
+    share, mean, crashes = train_sb3.fly(blocked_course, 4, lambda env, _: env.law())
+    assert (share, crashes) == (1.0, 0)
+    assert mean > 8.0  # 370 m at 50 m/s
+    share, mean, crashes = train_sb3.fly(blocked_course, 2, lambda env, _: np.zeros((2, 3)))
+    assert (share, crashes) == (0.0, 0)
+    assert np.isnan(mean)
