@@ -1,17 +1,15 @@
-"""Learns one segment by Stable-Baselines3's SAC, on the vector environment.
+"""Learns one segment by Stable-Baselines3's SAC, on the vector environment of Gymnasium.
 
-    python -m examples.train_sb3
-
-It learns once with each seed, then flies the last policy, without noise, from 64 starts in the
-ball of the segment's start, and compares it with the guidance law from the same starts and with the
-lower bound. Needs `pip install 'mjcollect[gym]' stable-baselines3==2.9.2`.
+The last policy flies without noise from starts in the ball of the segment's start, and is compared
+with the guidance law from the same starts and with the lower bound; see `docs/gymnasium.md`.
+Needs `pip install 'mjcollect[gym]' stable-baselines3==2.9.2`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gymnasium
 import numpy as np
@@ -19,49 +17,42 @@ import torch
 import tyro
 from stable_baselines3 import SAC
 
-from mjcollect.envs.course import Course
+from mjcollect import Course, Scene, plan_order
 from mjcollect.gym.sb3 import FlightVecEnv
 from mjcollect.scene.bounds import segment_bound
-from mjcollect.scene.order import first_blocked, plan_order
-from mjcollect.scene.scene import Scene
 
 GAMMA = 0.95  # of the learner and of the environment, per slot of 0.2 s
 STARTS_SEED = 1000  # All flights that are compared begin at the same starts.
 VectorEnv = gymnasium.vector.VectorEnv
 Found = tuple[float, float, int]
+Pilot = Callable[[VectorEnv, np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Args:
-    """Learns a segment with Stable-Baselines3."""
+    """Learns a segment with Stable-Baselines3, once with each seed."""
 
     scene: str = "scenario_1"
-    """Scene file, or the name of a bundled scene."""
-    segment: int | None = None
-    """Number of the segment; by default the first that has boxes in its way."""
+    """Names a scene file or a bundled scene."""
+    segment: int = 3
+    """Selects the segment of the tour."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds, with each of which it learns once."""
+    """Sets the seeds."""
     slots: int = 30_000
-    """Slots flown in all simulations together."""
+    """Sets the number of slots flown in all simulations together."""
     envs: int = 16
-    """Simulations side by side; SAC makes a quarter as many updates after each step of all."""
+    """Sets the number of simulations; each of their steps is followed by a quarter as many updates."""
     starts: int = 64
-    """Starts from which the learned policy flies in the end."""
+    """Sets the number of starts from which the learned policy flies in the end."""
+    quick: bool = False
+    """Flies a few slots with one seed only, to see that it works."""
 
 
 def make(course: Course, count: int, start: str) -> VectorEnv:
     """Returns the vector environment, with observations and actions in the frame of the path."""
-    return gymnasium.make_vec(
-        "mjcollect.gym:mjcollect/Segment-v0",
-        num_envs=count,
-        vectorization_mode="vector_entry_point",
-        course=course,
-        observation="path",
-        reward="lost",
-        gamma=GAMMA,
-        start=start,
-        threads=1,
-    )
+    rules = {"observation": "path", "reward": "lost", "gamma": GAMMA}
+    name = "mjcollect.gym:mjcollect/Segment-v0"
+    return gymnasium.make_vec(name, count, course=course, start=start, threads=1, **rules)
 
 
 def learn(course: Course, args: Args, seed: int) -> SAC:
@@ -84,11 +75,7 @@ def learn(course: Course, args: Args, seed: int) -> SAC:
     return model
 
 
-def fly(
-    course: Course,
-    count: int,
-    decide: Callable[[VectorEnv, np.ndarray], np.ndarray],
-) -> Found:
+def fly(course: Course, count: int, decide: Pilot) -> Found:
     """Returns the share of flights that arrive, their mean time in s, and the number of crashes."""
     env = make(course, count, "ball")
     seen, _ = env.reset(seed=STARTS_SEED)
@@ -107,11 +94,10 @@ def fly(
 def main(args: Args) -> None:
     """Learns, flies, prints."""
     torch.set_num_threads(1)
+    if args.quick:
+        args = replace(args, seeds=args.seeds[:1], slots=64, envs=4, starts=4)
     scene = Scene.find(args.scene)
-    order = plan_order(scene, "lkh")
-    number = first_blocked(scene, order) if args.segment is None else args.segment
-    course = Course.segment(scene, order, number)
-    print(f"{scene.name}, segment {number}")
+    course = Course.segment(scene, plan_order(scene, "lkh"), args.segment)
     print(f"lower bound: {segment_bound(scene, *course.nodes):.2f} s")
     report("guidance law", fly(course, args.starts, lambda env, _: env.law()))
     for seed in args.seeds:
