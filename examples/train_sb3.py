@@ -41,7 +41,7 @@ class Args:
     slots: int = 30_000
     """Sets the number of slots flown in all simulations together."""
     envs: int = 16
-    """Sets the number of simulations; each of their steps is followed by a quarter as many updates."""
+    """Sets the number of simulations; a quarter as many updates follow each step of all."""
     starts: int = 64
     """Sets the number of starts from which the learned policy flies in the end."""
     quick: bool = False
@@ -112,8 +112,7 @@ def main(args: Args) -> None:
 
 def report(who: str, found: Found, more: str = "") -> None:
     """Prints what the flights reached."""
-    share, mean, crashes = found
-    print(f"{who}: {share:.0%} arrive, in {mean:.2f} s, {crashes} crashes{more}", flush=True)
+    print("{}: {:.0%} arrive, in {:.2f} s, {} crashes".format(who, *found) + more, flush=True)
 
 
 if __name__ == "__main__":

@@ -233,18 +233,18 @@ from gymnasium.utils.env_checker import check_env
 from mjcollect.envs.course import Course
 from mjcollect.scene.scene import Scene
 course = Course.segment(Scene.load(sys.argv[1]), (0, 1), 1)
-options = {"course": course, "size": (320, 180)}
+options = {"course": course, "size": (160, 90)}
 env = gymnasium.make("mjcollect.gym:mjcollect/Segment-v0", render_mode="rgb_array", **options)
 check_env(env.unwrapped)
 env.reset()
 shown = [env.render()]
-for _ in range(6):
+for _ in range(3):
     env.step(env.unwrapped.law().astype(np.float32))
     shown.append(env.render())
 env.close()
 many = gymnasium.make_vec("mjcollect/Segment-v0", 2, render_mode="rgb_array", **options)
 many.reset()
-for _ in range(6):
+for _ in range(3):
     many.step(many.law())
 np.savez(sys.argv[2], shown=shown, many=many.render(), fps=env.metadata["render_fps"])
 many.close()
@@ -263,10 +263,10 @@ def test_pictures_show_the_flight_where_there_is_gl(scene_file, tmp_path):
         shown, many = file["shown"], file["many"]
         assert file["fps"] == 5
     assert shown.dtype == np.uint8
-    assert shown.shape == (7, 180, 320, 3)
+    assert shown.shape == (4, 90, 160, 3)
     assert shown[0].std() > 10
     assert all((one != two).any() for one, two in pairwise(shown))
-    assert many.shape == (2, 180, 320, 3)
+    assert many.shape == (2, 90, 160, 3)
     np.testing.assert_array_equal(many[0], shown[-1])  # The same flight is shown the same.
     np.testing.assert_array_equal(many[0], many[1])
 
