@@ -18,7 +18,7 @@ from dm_control.rl import control
 from dm_env import specs
 from mujoco import mj_step
 
-from mjcollect.envs.course import START_KINDS, Course, StartKind
+from mjcollect.envs.course import Course, StartKind, check_start
 from mjcollect.envs.episode import Episodes, Outcome, Rules
 from mjcollect.envs.reward import PRESETS
 from mjcollect.geometry.compiled import Array, Bools
@@ -94,8 +94,7 @@ class FlightTask(control.Task):
         Raises:
             ValueError: the kind of start is unknown.
         """
-        if start not in START_KINDS:
-            raise ValueError(f"start: {start!r}: must be one of {', '.join(START_KINDS)}")
+        check_start(start)
         self.course, self.start = course, start
         self.courses = (course, *others)
         uavs = len(self.courses)
@@ -238,6 +237,27 @@ def task_names() -> tuple[str, ...]:
     return tuple(_TASKS)
 
 
+def course_of(
+    task: str,
+    scene: Scene | str | os.PathLike[str] = DEFAULT_SCENE,
+    *,
+    order: str = "lkh",
+    seed: int = 0,
+    **task_kwargs: Any,
+) -> Course:
+    """Returns the course of a task by its name, with arguments as in `load`.
+
+    Raises:
+        ValueError: the task is unknown; the message lists those of one course.
+        SceneError: the scene is refused.
+    """
+    if task not in _TASKS:
+        raise ValueError(f"task: {task!r}: must be one of {', '.join(_TASKS)}")
+    if not isinstance(scene, Scene):
+        scene = Scene.find(scene)
+    return _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
+
+
 def load(
     task: str,
     scene: Scene | str | os.PathLike[str] = DEFAULT_SCENE,
@@ -273,8 +293,6 @@ def load(
     """
     if task not in (*_TASKS, *_PLACES):
         raise ValueError(f"task: {task!r}: must be one of {', '.join((*_TASKS, *_PLACES))}")
-    if not isinstance(scene, Scene):
-        scene = Scene.find(scene)
     options: dict[str, Any] = {
         "observation": observation,
         "reward": reward,
@@ -286,6 +304,8 @@ def load(
     if task in _PLACES:
         module, name = _PLACES[task].split(":")
         make: Callable[..., control.Environment] = getattr(importlib.import_module(module), name)
+        if not isinstance(scene, Scene):
+            scene = Scene.find(scene)
         return make(scene, order=order, seed=seed, **task_kwargs, **options)
-    course = _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
+    course = course_of(task, scene, order=order, seed=seed, **task_kwargs)
     return make_environment(course, **options)

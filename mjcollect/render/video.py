@@ -84,7 +84,7 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
         mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
         raise RenderError(f"no ffmpeg ({_line(error)}); pip install imageio-ffmpeg") from None
-    _check_gl()
+    check_gl()
     from mjcollect.render.frames import Film
 
     # In quarters, so that the speed that is written on the frames is short.
@@ -164,8 +164,12 @@ def _single(folder: Path, kind: str, result: dict[str, Any], air: Air | None) ->
     return FleetProgress.alone(flown, np.reshape(load_shield(folder / SHIELD_FILE), (-1, 2)))
 
 
-def _check_gl() -> None:
-    """Opens and closes a small renderer: the film's own faults are no lack of GL."""
+def check_gl() -> None:
+    """Opens and closes a small renderer: the film's own faults are no lack of GL.
+
+    Raises:
+        RenderError: there is no GL; the message says how to get it.
+    """
     try:
         with warnings.catch_warnings(action="ignore"):
             import mujoco
