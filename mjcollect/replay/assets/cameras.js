@@ -7,6 +7,8 @@ const TILT = [-25 * Math.PI / 180, 78 * Math.PI / 180];
 const SWINGS = [0, -35, 35, -70, 70, -110, 110].map((angle) => angle * Math.PI / 180);
 const LIFTS = [0, 20, 40, 58].map((angle) => angle * Math.PI / 180);
 
+const BELOW = 88, ABOVE = 60; // Bars and names take so many pixels of the window's height.
+
 class Cameras {
   constructor(world, canvas, changed) {
     this.world = world;
@@ -50,11 +52,13 @@ class Cameras {
   resize(width, height, frame) {
     for (const camera of [this.orbit, this.chase, this.top]) {
       camera.aspect = width / height;
-      camera.updateProjectionMatrix();
+      // The middle of what is seen is the middle of what is free.
+      const down = { [this.orbit.uuid]: BELOW / 2, [this.top.uuid]: (BELOW - ABOVE) / 2 }[camera.uuid] ?? 0;
+      camera.setViewOffset(width, height, 0, down, width, height);
     }
     if (!frame) return;
-    this.frame(this.orbit, new THREE.Vector3(...OVERVIEW), .92);
-    this.frame(this.top, new THREE.Vector3(0, 1e-5, -1), Math.min(.92, 1 - 150 / height));
+    this.frame(this.orbit, new THREE.Vector3(...OVERVIEW), .98 - BELOW / height);
+    this.frame(this.top, new THREE.Vector3(0, 1e-5, -1), .98 - (BELOW + ABOVE) / height);
   }
 
   /** Puts a camera as near as all of the bounds can be seen. */

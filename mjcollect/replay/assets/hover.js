@@ -3,24 +3,29 @@
 const MOST_LABELS = 80;
 
 class Hover {
-  constructor(world, uavs, movers, canvas, tip, wake) {
-    Object.assign(this, { world, uavs, movers, canvas, tip, wake });
+  constructor(world, uavs, movers, canvas, tip) {
+    Object.assign(this, { world, uavs, movers, tip });
     this.ray = new THREE.Raycaster();
     this.pointer = null;
+    this.moved = false;
     this.box = null;
     canvas.addEventListener("pointermove", (event) => {
       this.pointer = event.buttons === 0 ? [event.clientX, event.clientY] : null;
-      this.wake();
+      this.moved = true;
     });
-    canvas.addEventListener("pointerleave", () => { this.pointer = null; this.wake(); });
+    canvas.addEventListener("pointerleave", () => { this.pointer = null; this.moved = true; });
   }
 
-  /** Names what is under the cursor at a time; `describe` gives a headline and a line below it. */
+  /** Names what is under the cursor at a time; returns whether another box is to be marked.
+   *
+   * `describe` gives a headline and a line below it.
+   */
   show(camera, t, describe) {
+    this.moved = false;
     const found = this.pointer === null ? null : this.find(camera);
-    this.mark(found?.mesh ?? null, found?.instance ?? -1);
+    const changed = this.mark(found?.mesh ?? null, found?.instance ?? -1);
     this.tip.hidden = found === null;
-    if (found === null) return;
+    if (found === null) return changed;
     const [head, more] = describe(found, t);
     const small = document.createElement("small");
     small.textContent = more;
@@ -30,6 +35,7 @@ class Hover {
     const top = Math.min(Math.max(y + 14, 4), innerHeight - offsetHeight - 4);
     this.tip.style.left = `${left}px`;
     this.tip.style.top = `${top}px`;
+    return changed;
   }
 
   find(camera) {
@@ -48,7 +54,7 @@ class Hover {
 
   mark(mesh, instance) {
     const box = mesh === null ? null : [mesh, instance];
-    if (box?.[0] === this.box?.[0] && box?.[1] === this.box?.[1]) return;
+    if (box?.[0] === this.box?.[0] && box?.[1] === this.box?.[1]) return false;
     for (const [each, value] of [[this.box, 0], [box, 1]]) {
       if (each === null) continue;
       const picked = each[0].geometry.attributes.picked;
@@ -56,6 +62,7 @@ class Hover {
       picked.needsUpdate = true;
     }
     this.box = box;
+    return true;
   }
 }
 
@@ -80,17 +87,18 @@ class Labels {
     return { element };
   }
 
-  show(camera, width, height) {
+  /** Puts them where the camera sees what they name; one UAV's may be hidden. */
+  show(camera, width, height, hidden) {
     for (const { element, node, uav } of this.labels) {
       this.point.copy(node ? node.at : uav.model.position).project(camera);
       const { x, y, z } = this.point;
-      const shown = z > -1 && z < 1 && Math.abs(x) < 1.05 && Math.abs(y) < 1.05;
+      const shown = uav !== hidden && z > -1 && z < 1 && Math.abs(x) < 1.05 && Math.abs(y) < 1.05;
       const display = shown ? "" : "none";
       if (element.style.display !== display) element.style.display = display;
       if (!shown) continue;
       const colour = node ? node.look.colour : uav.flight.colour;
       if (element.dataset.colour !== colour) element.style.color = element.dataset.colour = colour;
-      const lift = node ? 12 : -30;
+      const lift = node ? 12 : -34 - 18 * (uav.run % 3);
       const left = (x + 1) / 2 * width, top = (1 - y) / 2 * height + lift;
       element.style.transform = `translate(${left.toFixed(1)}px,${top.toFixed(1)}px) translateX(-50%)`;
     }

@@ -2,6 +2,7 @@
 
 const SLOW = 36; // Frames that take longer (ms) are drawn with fewer pixels while playing.
 const LEAST = .5; // Never fewer than this share of the window's along each side.
+const CALM = 250; // What has not changed for so long (ms) is drawn once more, smoothly.
 
 const replay = JSON.parse(find("data").textContent);
 const canvas = find("view");
@@ -16,6 +17,7 @@ function start() {
   const fleets = replay.runs.some((run) => run.flights[0].name !== null);
   uavs.forEach((uav, k) => {
     uav.index = k;
+    uav.run = replay.runs.indexOf(uav.flight.run);
     const { name, run } = uav.flight;
     uav.label = replay.runs.length === 1 ? name ?? "UAV" : fleets && name !== null ? `${run.name}: ${name}` : run.name;
   });
@@ -30,10 +32,11 @@ function start() {
     rate: RATES.find((rate) => rate >= 1 && duration / rate <= LONGEST) ?? RATES.at(-1),
   };
   let awake = true, jump = true, last = null, frames = 0, touched = false, share = 1, pace = null;
+  let calm = 0; // ms since anything changed
   const wake = () => { awake = true; };
 
   const cameras = new Cameras(world, canvas, wake);
-  const hover = new Hover(world, uavs, movers, canvas, find("tip"), wake);
+  const hover = new Hover(world, uavs, movers, canvas, find("tip"));
   const labels = new Labels(find("labels"), world, uavs);
   const panel = new Panel(replay, uavs, colours, (k) => act.follow(k));
   for (const camera of [cameras.orbit, cameras.top])
@@ -147,7 +150,7 @@ function start() {
     for (const uav of uavs) uav.fit(camera, pixel, state.camera === "chase" && uav === followed);
     hover.show(camera, state.t, describe);
     renderer.render(three, camera);
-    if (state.names) labels.show(camera, innerWidth, innerHeight);
+    if (state.names) labels.show(camera, innerWidth, innerHeight, state.camera === "chase" ? followed : null);
     panel.show(state.t, followed);
     transport.show(state.t, state.playing, state.rate);
     frames++;
@@ -171,6 +174,14 @@ function start() {
       awake = true;
     }
     last = now;
+    if (hover.moved && !awake && hover.show(cameras.active, state.t, describe)) awake = true;
+    calm = awake ? 0 : calm + took;
+    if (awake && share > 1) resize(1);
+    // A processor draws without smooth edges; four pixels for one smooth them when it has time.
+    if (calm > CALM && share === 1 && renderer.software) {
+      resize(2);
+      calm = 0;
+    }
     if (awake) {
       awake = false;
       draw(Math.min(took, 500) / 1000);
@@ -226,9 +237,10 @@ function start() {
 /** Returns the renderer, or null after saying that there is no WebGL. */
 function openRenderer() {
   try {
-    const context = canvas.getContext("webgl2", { antialias: !isSoftware(), alpha: false });
+    const software = isSoftware();
+    const context = canvas.getContext("webgl2", { antialias: !software, alpha: false });
     if (context === null) throw new Error("no WebGL 2");
-    return new THREE.WebGLRenderer({ canvas, context });
+    return Object.assign(new THREE.WebGLRenderer({ canvas, context }), { software });
   } catch (error) {
     const message = find("message");
     message.textContent = "This browser shows no 3D graphics (WebGL 2) here. Turn on graphics acceleration in its " +

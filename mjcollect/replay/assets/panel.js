@@ -45,6 +45,8 @@ class Panel {
 
   subtitle(scene, run) {
     const parts = [scene.name, run.kind, run.planner].filter(Boolean);
+    if (run.success && run.lowerBound > 0)
+      parts.push(`${(run.duration / run.lowerBound).toFixed(3)} of the lower bound`);
     return parts.join(" · ");
   }
 
@@ -70,7 +72,7 @@ class Panel {
       ? make("span", "result", arrived === null ? "not home" : seconds(arrived)) : this.result(run, best);
     const read = make("span", "read"), goal = make("span", "goal");
     const speed = make("b"), length = make("b"), shield = make("span", "shield", "shield");
-    const speeds = make("span"), lengths = make("span");
+    const speeds = make("span", "speed"), lengths = make("span");
     speeds.append(speed, " m/s");
     lengths.append(length, " m");
     read.append(speeds, lengths, shield);

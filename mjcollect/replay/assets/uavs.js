@@ -146,6 +146,7 @@ class Uav {
     const size = Math.max(SPAN * this.world.scene.radius, (near ? 84 : 30) * pixel * away);
     this.model.scale.setScalar(size);
     this.ring.visible = !near;
+    this.track.whole.material.depthTest = near;
     this.ring.position.copy(this.model.position);
     this.ring.quaternion.copy(camera.quaternion);
     this.ring.scale.setScalar(Math.max(.75 * size, 17 * pixel * away));
