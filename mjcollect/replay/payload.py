@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.arrivals import Progress
 from mjcollect.render.fleet import UAV_COLOURS, FleetProgress
-from mjcollect.render.overlay import MOVING, NODES, SHIELD, UAV, WIND, speed_colours
+from mjcollect.render.overlay import MOVING, NODES, SHIELD, UAV, speed_colours
 from mjcollect.render.runs import FlownRun, violation_text
 from mjcollect.scene.mjcf import NO_FLY_RGBA, OBSTACLE_RGBA
 from mjcollect.scene.scene import Scene
@@ -58,7 +58,6 @@ def document(runs: Sequence[FlownRun], names: Sequence[str]) -> dict[str, Any]:
             **{state: _hex(colour) for state, colour in NODES.items()},
             "moving": _hex(MOVING),
             "shield": _hex(SHIELD),
-            "wind": _hex(WIND),
             "noFly": to_hex(NO_FLY_RGBA),
             "boxes": [to_hex(rgba) for rgba in OBSTACLE_RGBA],
             "speed": [to_hex(rgb) for rgb in speed_colours(np.linspace(0, 1, RAMP), 1.0)],

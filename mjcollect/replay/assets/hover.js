@@ -23,7 +23,7 @@ class Hover {
   show(camera, t, describe) {
     this.moved = false;
     const found = this.pointer === null ? null : this.find(camera);
-    const changed = this.mark(found?.mesh ?? null, found?.instance ?? -1);
+    const changed = this.mark(found?.box ?? null);
     this.tip.hidden = found === null;
     if (found === null) return changed;
     const [head, more] = describe(found, t);
@@ -43,24 +43,18 @@ class Hover {
     this.ray.setFromCamera(new THREE.Vector2(2 * x / innerWidth - 1, 1 - 2 * y / innerHeight), camera);
     const targets = [
       ...this.uavs.map((uav) => uav.model), ...this.world.nodes.map((node) => node.mesh),
-      ...this.movers.map((mover) => mover.mesh), this.world.solid, this.world.zones,
-    ].filter((each) => each !== null);
+      ...this.movers.map((mover) => mover.mesh),
+    ];
     const hit = this.ray.intersectObjects(targets, true)[0];
-    if (hit === undefined) return null;
-    const data = hit.object.userData;
-    if (data.boxes) return { mesh: hit.object, instance: hit.instanceId, box: data.boxes[hit.instanceId] };
-    return data;
+    const { origin, direction } = this.ray.ray;
+    const { box } = this.world.firstBox(origin, direction, 0, hit?.distance ?? Infinity, true);
+    return box === null ? hit?.object.userData ?? null : { box };
   }
 
-  mark(mesh, instance) {
-    const box = mesh === null ? null : [mesh, instance];
-    if (box?.[0] === this.box?.[0] && box?.[1] === this.box?.[1]) return false;
-    for (const [each, value] of [[this.box, 0], [box, 1]]) {
-      if (each === null) continue;
-      const picked = each[0].geometry.attributes.picked;
-      picked.setX(each[1], value);
-      picked.needsUpdate = true;
-    }
+  mark(box) {
+    if (box === this.box) return false;
+    if (this.box !== null) this.world.pick(this.box, false);
+    if (box !== null) this.world.pick(box, true);
     this.box = box;
     return true;
   }

@@ -2,6 +2,7 @@
 
 const SLOW = 36; // Frames that take longer (ms) are drawn with fewer pixels while playing.
 const LEAST = .5; // Never fewer than this share of the window's along each side.
+const OFTEN = 90; // While it plays, numbers change after so long (ms).
 const CALM = 250; // What has not changed for so long (ms) is drawn once more, smoothly.
 
 const replay = JSON.parse(find("data").textContent);
@@ -33,6 +34,7 @@ function start() {
   };
   let awake = true, jump = true, last = null, frames = 0, touched = false, share = 1, pace = null;
   let calm = 0; // ms since anything changed
+  let told = 0; // when numbers were last shown (ms)
   const wake = () => { awake = true; };
 
   const cameras = new Cameras(world, canvas, wake);
@@ -70,7 +72,7 @@ function start() {
       panel.legend(state.bySpeed);
       buttons();
     },
-    glass() { state.glass = !state.glass; world.setGlass(state.glass); buttons(); },
+    glass() { state.glass = !state.glass; world.setGlass(state.glass, state.theme); buttons(); },
     names() { state.names = !state.names; find("labels").hidden = !state.names; buttons(); },
     theme() { state.theme = state.theme === "dark" ? "light" : "dark"; applyTheme(); buttons(); },
     keys() { find("help").hidden = !find("help").hidden; buttons(); },
@@ -146,13 +148,17 @@ function start() {
     cameras.setPlanes();
     const camera = cameras.active;
     const pixel = 2 * Math.tan(camera.fov * Math.PI / 360) / innerHeight;
+    world.sortBoxes(camera);
     world.showNodes(camera, pixel, look);
     for (const uav of uavs) uav.fit(camera, pixel, state.camera === "chase" && uav === followed);
     hover.show(camera, state.t, describe);
     renderer.render(three, camera);
     if (state.names) labels.show(camera, innerWidth, innerHeight, state.camera === "chase" ? followed : null);
-    panel.show(state.t, followed);
-    transport.show(state.t, state.playing, state.rate);
+    if (!state.playing || performance.now() - told > OFTEN) {
+      told = performance.now();
+      panel.show(state.t, followed);
+      transport.show(state.t, state.playing, state.rate);
+    }
     frames++;
   }
 

@@ -47,6 +47,7 @@ class Panel {
     const parts = [scene.name, run.kind, run.planner].filter(Boolean);
     if (run.success && run.lowerBound > 0)
       parts.push(`${(run.duration / run.lowerBound).toFixed(3)} of the lower bound`);
+    if (run.wind !== null) parts.push(`wind ${Math.hypot(...run.wind).toFixed(1)} m/s²`);
     return parts.join(" · ");
   }
 

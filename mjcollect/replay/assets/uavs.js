@@ -32,13 +32,7 @@ function quadrotor(colour) {
 class Track {
   constructor(flight, world, ramp) {
     this.flight = flight;
-    const least = world.diagonal / 2500, kept = [0], rows = flight.rows;
-    for (let k = 1; k < flight.count; k++) {
-      const gone = rows[k * COLUMNS + 7] - rows[kept.at(-1) * COLUMNS + 7];
-      if (gone >= least || k === flight.count - 1) kept.push(k);
-    }
-    if (kept.length === 1) kept.push(0);
-    this.kept = kept;
+    const rows = flight.rows, kept = this.kept = corners(flight, world.diagonal / 4000, world.scene.vMax / 40);
     const places = [], speeds = [], own = [];
     const colour = new THREE.Color(flight.colour), at = new THREE.Color();
     for (const k of kept) {
@@ -49,7 +43,7 @@ class Track {
     }
     this.speeds = speeds;
     this.own = own;
-    this.whole = this.line(places, { linewidth: 1.5, opacity: .34, transparent: true, depthTest: false });
+    this.whole = this.line(places, { linewidth: 1.5, opacity: .45, transparent: true, depthTest: false });
     this.flown = this.line(places, { linewidth: 3.5 });
     this.colour(true);
     world.three.add(this.whole, this.flown);
@@ -68,16 +62,49 @@ class Track {
     for (const line of [this.whole, this.flown]) line.geometry.setColors(bySpeed ? this.speeds : this.own);
   }
 
-  show(row) {
+  /** Shows it as far as a row, and from there to where the UAV is. */
+  show(row, x) {
     let low = 0, high = this.kept.length - 1;
     while (low < high) {
       const middle = (low + high + 1) >> 1;
       if (this.kept[middle] <= row) low = middle;
       else high = middle - 1;
     }
-    this.flown.geometry.instanceCount = low;
-    this.flown.visible = low > 0;
+    // The last piece ends at the UAV; the place that it ends at otherwise is put back.
+    const { data } = this.flown.geometry.attributes.instanceStart;
+    const places = data.array, next = Math.min(low + 1, this.kept.length - 1);
+    if (this.cut !== undefined) places.set(this.cut.place, this.cut.at);
+    const end = 6 * (next - 1) + 3;
+    this.cut = next > low ? { at: end, place: places.slice(end, end + 3) } : undefined;
+    if (this.cut !== undefined) places.set(x, end);
+    data.needsUpdate = true;
+    this.flown.geometry.instanceCount = next;
   }
+}
+
+/** Returns the rows that a track needs, so that no place is off by more than `off` m, and no speed
+ * by more than `slow` m/s (Douglas and Peucker).
+ */
+function corners(flight, off, slow) {
+  const { rows, speeds, count } = flight, kept = new Set([0, count - 1]), todo = [[0, count - 1]];
+  while (todo.length > 0) {
+    const [first, last] = todo.pop(), a = first * COLUMNS, b = last * COLUMNS;
+    const step = [1, 2, 3].map((axis) => rows[b + axis] - rows[a + axis]);
+    const square = step.reduce((sum, part) => sum + part * part, 0);
+    let worst = 1, at = -1;
+    for (let k = first + 1; k < last; k++) {
+      const c = k * COLUMNS;
+      const out = [1, 2, 3].map((axis) => rows[c + axis] - rows[a + axis]);
+      const along = square > 0 ? out.reduce((sum, part, i) => sum + part * step[i], 0) / square : 0;
+      const share = Math.min(Math.max(along, 0), 1);
+      const away = Math.hypot(...out.map((part, i) => part - share * step[i])) / off;
+      const wrong = Math.abs(speeds[k] - speeds[first] - share * (speeds[last] - speeds[first])) / slow;
+      if (Math.max(away, wrong) > worst) { worst = Math.max(away, wrong); at = k; }
+    }
+    if (at > 0) { kept.add(at); todo.push([first, at], [at, last]); }
+  }
+  const sorted = [...kept].sort((one, two) => one - two);
+  return sorted.length > 1 ? sorted : [0, 0];
 }
 
 function rampColour(ramp, share) {
@@ -133,7 +160,7 @@ class Uav {
     const nose = left.clone().cross(up).normalize();
     left.crossVectors(up, nose);
     this.model.quaternion.setFromRotationMatrix(new THREE.Matrix4().makeBasis(nose, left, up));
-    this.track.show(flight.rowAt(end) + (end >= flight.duration ? 1 : 0));
+    this.track.show(flight.rowAt(end) + (end >= flight.duration ? 1 : 0), state.x);
     const ends = this.plumb.geometry.attributes.position;
     ends.setXYZ(0, ...state.x);
     ends.setXYZ(1, state.x[0], state.x[1], this.world.low.z);
