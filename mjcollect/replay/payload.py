@@ -182,4 +182,5 @@ def _node(fleet: FleetProgress, m: int, node: int) -> int:
 
 
 def _hex(colour: Sequence[int]) -> str:
-    return to_hex([part / 255 for part in colour[:3]])
+    red, green, blue = colour[:3]
+    return f"#{red:02x}{green:02x}{blue:02x}"
