@@ -32,7 +32,7 @@ function quadrotor(colour) {
 class Track {
   constructor(flight, world, ramp) {
     this.flight = flight;
-    const rows = flight.rows, kept = this.kept = corners(flight, world.diagonal / 4000, world.scene.vMax / 40);
+    const rows = flight.rows, kept = this.kept = corners(flight, .2 * world.scene.radius, world.scene.vMax / 40);
     const places = [], speeds = [], own = [];
     const colour = new THREE.Color(flight.colour), at = new THREE.Color();
     for (const k of kept) {

@@ -1,7 +1,7 @@
 // What stands: ground, boxes, bounds, depots, items.
 
 const THEMES = {
-  light: { sky: 0xdfe7ef, ground: 0xc3ccc8, line: 0xb0bab7, edge: 0x5a6672, bound: 0x8a97a5, shade: 1 },
+  light: { sky: 0xdfe7ef, ground: 0xc3ccc8, line: 0xb0bab7, edge: 0x5a6672, bound: 0x8a97a5, shade: 1.08 },
   dark: { sky: 0x141b24, ground: 0x222c36, line: 0x303c48, edge: 0x0c1117, bound: 0x5c6a78, shade: .62 },
 };
 
