@@ -235,7 +235,7 @@ class World {
     mesh.position.set(...at);
     mesh.userData.node = node;
     this.three.add(mesh);
-    return { mesh, node, radius, at: mesh.position, rings: [] };
+    return { mesh, node, radius, at: mesh.position };
   }
 
   /** Makes nodes large enough to be seen from the camera, and colours them by `looks`. */
