@@ -109,6 +109,8 @@ class Args:
     """Starts anew in a folder that is not empty."""
     video: bool = True
     """Renders mission.mp4."""
+    replay: bool = True
+    """Writes replay.html, which shows the flight in a browser."""
     plots: bool = True
     """Draws the plots."""
 
@@ -225,7 +227,8 @@ def fly_mission(args: Args) -> int:
         write_air(folder, course, order, flown, args.plots)
     write_mission(folder, scene, result, flight, plots=args.plots, air=air)
     folder.unlock()
-    return finish(folder, [folder.path / "mission.mp4"] if args.video else [], args.plots, notes)
+    videos = [folder.path / "mission.mp4"] if args.video else []
+    return finish(folder, videos, args.plots, notes, replay=args.replay)
 
 
 def fly_fleet_mission(args: Args) -> int:
@@ -298,7 +301,7 @@ def fly_fleet_mission(args: Args) -> int:
         say(note)
     write_fleet(folder, sharing, flown, args.planner, seed, trained, plots=args.plots)
     folder.unlock()
-    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+    return finish_fleet(folder, video=args.video, replay=args.replay, plots=args.plots, notes=notes)
 
 
 def check_same_fleet(args: Args, sharing: Sharing, seed: int) -> None:
@@ -338,7 +341,7 @@ def _train(
         training = segment.Args(
             scene=str(folder.path / "scene.json"), order=",".join(map(str, order)), segment=index,
             out=own.path, seed=seed, policy=args.policy, guidance_cache=Path(guidance),
-            video=False, overwrite=True, learn=learn,
+            video=False, replay=False, overwrite=True, learn=learn,
         )  # fmt: skip
         if segment.train_segment(training) == INTERRUPTED:
             raise KeyboardInterrupt

@@ -201,7 +201,7 @@ def _train_fleet(args: Args, scene: Scene, policy: TrainedPolicy | None) -> int:
         for uav, course in enumerate(sharing.courses)
         for note in _notes(sharing.folder(folder, uav), len(course.guidance))
     ]
-    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+    return finish_fleet(folder, video=args.video, replay=args.replay, plots=args.plots, notes=notes)
 
 
 def _learn_fleet(args: Args, folder: RunFolder, sharing: Sharing) -> bool:
@@ -273,6 +273,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--seed", str(attempt_seed(args.seed, index, attempt)),
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
+            "--replay" if args.replay else "--no-replay",
             *settings_arguments(dataclasses.asdict(args.learn)),
             "--guidance-cache", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
@@ -352,7 +353,8 @@ def _finish(folder: RunFolder, args: Args, segments: int) -> int:
         videos = [folder.path / "mission.mp4"]
         if segments <= MOST_SEGMENT_VIDEOS + 1:  # Some may have been stopped before theirs.
             videos += [folder.segment(k).path / "segment.mp4" for k in range(segments)]
-    return finish(folder, videos, args.plots, _notes(folder, segments))
+    notes = _notes(folder, segments)
+    return finish(folder, videos, args.plots, notes, replay=args.replay)
 
 
 if __name__ == "__main__":

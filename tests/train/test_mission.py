@@ -41,7 +41,7 @@ SEGMENT_KEYS = {
 FILES = {
     "config.json", "command.txt", "scene.json", "mission.json", "trajectory.csv", "path_3d.png",
     "path_top.png", "learning.png", "speed.png", "segments", "report.md",
-    "shield.csv",
+    "shield.csv", "replay.html",
 }  # fmt: skip
 
 

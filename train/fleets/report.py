@@ -23,7 +23,13 @@ from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import shield_intervals
 from mjcollect.verify import least_gaps, verify_separation
 from train.support.markdown import markdown_table
-from train.support.mission_report import film, mission_result, write_mission
+from train.support.mission_report import (
+    film,
+    links,
+    mission_result,
+    write_mission,
+    write_replay,
+)
 from train.support.run_folder import RunFolder, versions
 
 COLUMNS = ("UAV", "items in order", "time (s)", "bound (s)", "shield", "made room", "ended")
@@ -126,10 +132,14 @@ def write_fleet(
     folder.write_json("fleet.json", document)
 
 
-def finish_fleet(folder: RunFolder, *, video: bool, plots: bool, notes: Sequence[str] = ()) -> int:
-    """Films the flight if that is asked for, writes report.md; returns 0 for success, else 1."""
+def finish_fleet(
+    folder: RunFolder, *, video: bool, replay: bool, plots: bool, notes: Sequence[str] = ()
+) -> int:  # fmt: skip
+    """Makes report.md, replay and video if asked for; returns 0 for success, else 1."""
     result = folder.read_json("fleet.json")
     assert result is not None
+    if replay:
+        write_replay(folder)
     folder.write_text("report.md", fleet_report(folder.path, result, plots, notes))
     if video:
         film(folder.path / "fleet.mp4")
@@ -184,8 +194,7 @@ def fleet_report(folder: Path, result: dict[str, Any], plots: bool, notes: Seque
         "Made room: share in which the UAV left the way to another one.",
         "",
     ]
-    if (folder / "fleet.mp4").is_file():
-        lines += ["[Video](fleet.mp4)", ""]
+    lines += links(folder, "fleet.mp4")
     if plots:
         lines += [
             "![Flown paths](path_3d.png)",

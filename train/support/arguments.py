@@ -39,6 +39,8 @@ class TrainingArgs:
     """Start anew in a folder that is not empty."""
     video: bool = True
     """Render segment.mp4 and mission.mp4; the segments' own only up to 10 items."""
+    replay: bool = True
+    """Write replay.html, which shows the flight in a browser."""
     plots: bool = True
     """Draw the plots, and fly the MPC in each segment to show what there is to beat."""
     checkpoint_every: int = 1000
