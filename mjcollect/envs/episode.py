@@ -121,7 +121,8 @@ class Episodes:
         v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
         seen_world: the world as decisions see it, with the a_max to count on and moving boxes last.
         known: what is known of disturbances. sums: what it is made of, if it is of the flight.
-        collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
+        collected: (N, K) flags. steps: (N,) slots flown, but for those it waited for others to
+            land. crashed: (N,) whether any slot crashed.
         home: (N,) whether it has finished, and waits for the others of its fleet.
         held, left, asked: (N, 3), (N,), (N,) the shield's state. room: (N,) share of its margin
             that it kept. approach: how each stands towards its target.
@@ -168,7 +169,10 @@ class Episodes:
         )
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
         self.asked, self.room = np.ones(count), np.ones(count)
-        self.traffic = RightOfWay(count, uavs) if uavs > 1 and rules.shield else None
+        self.traffic: RightOfWay | None = None
+        if uavs > 1 and rules.shield:
+            targets = self.targets
+            self.traffic = RightOfWay(targets.guidance, targets.first, targets.last, uavs)
         self._all = np.arange(count)
         self._update_estimates()
         self.approach = self._approach()
@@ -235,6 +239,7 @@ class Episodes:
             action = np.einsum("nk,nkj->nj", action, self.approach.frame)
         if self.traffic is not None:
             action = self.traffic.actions(self._seen_fleet(), action)
+            tolerance = np.where(self.traffic.kept_out, -np.inf, tolerance)
         if self.uavs > 1:
             action = np.where(self.home[:, None], 0.0, action)
         world, q, v = self.seen_world, self.q, self.seen_v
@@ -254,10 +259,7 @@ class Episodes:
 
     def _seen_fleet(self) -> Seen:
         """Returns what the fleets know."""
-        return Seen(
-            self.world, self.targets.guidance, self.target, self.q, self.seen_v, self.shielded,
-            self.home,
-        )  # fmt: skip
+        return Seen(self.world, self.target, self.q, self.seen_v, self.shielded, self.home)
 
     def _margins(self) -> Margins:
         """Returns what the shield keeps clear of in disturbed air."""
@@ -300,7 +302,8 @@ class Episodes:
         after = self._approach()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
         self.crashed |= slot.crashed
-        self.steps += 1
+        # The time until others have landed is not its own.
+        self.steps += 1 if self.traffic is None else self.traffic.lands_after < 0
         success = slot.arrived & (self.target == self.targets.last)
         if self.uavs > 1:
             reward = np.where(self.home, 0.0, reward)
