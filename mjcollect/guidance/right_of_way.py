@@ -30,6 +30,7 @@ SLOW = 2.0  # It is slow below the speed that so many slots of full braking stop
 NEAR = 3.0  # The UAV asked is not farther away than so many times what UAVs keep apart.
 SIGHT = 100  # The other's path is looked at for so many times the distance that UAVs keep apart.
 LONGEST = 60  # Of a way to a place so many corners are flown.
+BACK = 0.2  # One is back where it left its way within such a share of what UAVs keep apart.
 PATIENCE = 60.0  # s after which one that makes room flies on in any case
 COLUMNS = 9 + 3 * LONGEST  # of the state, see `RightOfWay`
 
@@ -59,8 +60,9 @@ class RightOfWay:
         held_up: (N,) slots for which each was slow because of the shield. asked_by: (N,) row of
             the one that it makes room for, -1 for none. waited: (N,) slots since it was asked.
         block: (N, 3) m, where it was then. at, count: (N,) corner of its route that it heads for,
-            and number of corners. lands_after: (N,) row of the one for which it waits outside, -1
-            for none. route: (N, LONGEST, 3) m. kept_out: (N,) whether it must not land yet.
+            and number of corners. lands_after: (N,) row of the one for which it waits outside, its
+            own while it comes back from there, -1 for none. route: (N, LONGEST, 3) m.
+        kept_out: (N,) whether it must not land yet.
     """
 
     def __init__(
@@ -197,7 +199,21 @@ class RightOfWay:
                 rest = q
             way = self._rooms.route(world, w, rest, landing.path, self._taken(seen, row))
             self._send(row, np.concatenate([rest[None], way]))
-        self.lands_after[row] = min(whom, default=-1)
+        if whom:
+            self.lands_after[row] = min(whom)
+        elif self.lands_after[row] >= 0:
+            self._come_back(seen, row)
+
+    def _come_back(self, seen: Seen, row: int) -> None:
+        """Leads one that has waited outside back to where it left its way."""
+        at, left = int(self.at[row]), self.lands_after[row] != row
+        if left and at > 0:
+            self._send(row, self.route[row, at::-1])
+            self.lands_after[row] = row
+        end = self.route[row, int(self.count[row]) - 1]
+        near = BACK * seen.world.apart[scene_of(seen.world, row), 0]
+        if at == 0 and left or np.linalg.norm(seen.q[row] - end) < near:
+            self.lands_after[row] = -1
 
     def _ask(self, seen: Seen, row: int) -> None:
         """Asks whoever is in the way of a UAV to make room."""
