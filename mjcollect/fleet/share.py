@@ -18,6 +18,7 @@ GRID = 13  # Places are looked for in the directions of a cube's surface with su
 SHARES = 0.025 * np.arange(18, 0, -1)  # Stops may miss them by one of these shares of the depot's
 # tolerance, the greatest for which there is room.
 STEEP = 12  # The force between places falls with this power of their distance.
+TIE = 1e-9  # Of what is equal up to rounding the first counts, so that no machine decides.
 
 
 def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
@@ -42,7 +43,7 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     for share in SHARES:
         tolerance = float(share) * whole
         chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
-        if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
+        if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance - TIE:
             return chosen, tolerance
     raise SceneError(
         "return_tolerance", whole,
@@ -76,18 +77,24 @@ def spread(points: Array, count: int) -> Array | None:
     """
     if len(points) < count:
         return None
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    chosen = [_least(-np.linalg.norm(points - points.mean(axis=0), axis=1))]
     while len(chosen) < count:
-        chosen.append(int(_push(points, points[chosen]).argmin()))
+        chosen.append(_least(_push(points, points[chosen])))
     moved = True
     while moved:
         moved = False
         for uav in range(count):
             push = _push(points, points[chosen[:uav] + chosen[uav + 1 :]])
-            to = int(push.argmin())
+            to = _least(push)
             if push[to] < push[chosen[uav]] * (1 - 1e-9):
                 chosen[uav], moved = to, True
     return points[chosen]
+
+
+def _least(values: Array) -> int:
+    """Returns the index of the least of some values (n,), the first one of those as good as it."""
+    least = values.min()
+    return int(np.argmax(values <= least + TIE * abs(least)))
 
 
 def _push(points: Array, others: Array) -> Array:
