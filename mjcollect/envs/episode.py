@@ -21,6 +21,7 @@ from mjcollect.envs.observation import (
     State,
     places,
 )
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.envs.targets import Targets
 from mjcollect.flight import disturbance_estimate as air
@@ -88,29 +89,6 @@ class Rules:
                 )
         if not 0.0 < self.gamma < 1.0:
             raise ValueError(f"gamma: {self.gamma}: must lie between 0 and 1")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Holds the result of one slot in N episodes, each (N,).
-
-    Attributes:
-        reward: reward of the slot. slot: events of the slot.
-        terminated: whether the course was finished or a crash ended the episode.
-        truncated: whether the step limit ended the episode.
-        success: whether the course was finished. shielded: whether the shield changed the command.
-        room: share of its margin that the shield kept, 1 in calm air.
-        struck: whether the body touched a moving box, or came too near to a UAV of its fleet.
-    """
-
-    reward: Array
-    slot: Slot
-    terminated: Bools
-    truncated: Bools
-    success: Bools
-    shielded: Bools
-    room: Array
-    struck: Bools
 
 
 class Episodes:

@@ -147,7 +147,7 @@ def _check_apart(scene: Scene, depots: Sequence[int], places: Array, tolerances:
             continue  # `pads` keeps these apart.
         gap = float(np.linalg.norm(places[one] - places[other]))
         short = scene.apart + float(tolerances[one] + tolerances[other]) - gap
-        if short > 0:
+        if short > TIE:
             first, last = sorted((depots[one], depots[other]))
             raise SceneError(
                 depot_field(last), scene.depots[last].tolist(),

@@ -212,7 +212,7 @@ class RightOfWay:
             self.lands_after[row] = row
         end = self.route[row, int(self.count[row]) - 1]
         near = BACK * seen.world.apart[scene_of(seen.world, row), 0]
-        if at == 0 and left or np.linalg.norm(seen.q[row] - end) < near:
+        if (at == 0 and left) or np.linalg.norm(seen.q[row] - end) < near:
             self.lands_after[row] = -1
 
     def _ask(self, seen: Seen, row: int) -> None:
