@@ -122,6 +122,7 @@ class RightOfWay:
         for row in np.flatnonzero(self.asked_by >= 0).tolist():
             self._release(seen, row)
         self.kept_out[:] = False
+        self.lands_after[seen.home] = -1  # It may be home before it is back on its way.
         for row in np.flatnonzero((seen.target == self._last) & ~seen.home).tolist():
             self._wait_outside(seen, row)
         stuck = np.flatnonzero(self.held_up * world.slot >= HELD_UP - 1e-9).tolist()
