@@ -55,6 +55,7 @@ from train.support.disturbed_mission import (
     judged,
     write_air,
 )
+from train.support.finished_run import finished_run, scene_difference
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
@@ -141,7 +142,7 @@ def fly_mission(args: Args) -> int:
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     training_results: Sequence[dict[str, Any] | None]
     if args.run is not None:
-        scene, order, method, seed = _finished_run(args)
+        scene, order, method, seed = finished_run(args.run, args.scene, args.seed, args.order)
         segments = [RunFolder(args.run).segment(k) for k in range(len(order) + 1)]
         by_policy = args.planner == "policy"  # Other pilots do not depend on the training.
         training_results = [
@@ -348,56 +349,6 @@ def _train(
     result = own.read_json("segment.json")
     assert result is not None
     return TrainedPolicy.load(own.path / "policy.pt"), result
-
-
-def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
-    """Returns the run's scene, order, method of ordering, and seed.
-
-    Raises:
-        RunError: the run is not a finished mission, or does not match the other arguments.
-    """
-    assert args.run is not None
-    run = RunFolder(args.run)
-    result = run.read_json("mission.json")
-    if result is None:
-        raise RunError(
-            f"--run: {args.run}: holds no mission.json; name the folder of a finished mission"
-        )
-    scene = Scene.load(args.run / "scene.json")
-    others = [run.segment(k).path / "scene.json" for k in range(len(result["segments"]))]
-    given = [("--scene", Scene.find(args.scene))] if args.scene is not None else []
-    for name, other in given + [(str(path), Scene.load(path)) for path in others]:
-        if difference := scene_difference(scene, other):
-            raise RunError(
-                f"{name}: differs from {args.run / 'scene.json'}, for which the run was trained: "
-                f"{difference}; train again for another scene"
-            )
-    order, seed = tuple(result["order"]), result["seed"]
-    if args.seed not in (None, seed):
-        raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
-    if args.order is not None and plan_order(scene, args.order, seed=seed) != order:
-        raise RunError(
-            f"--order: {args.order}: the run's is {list(order)} ({result['order_method']}); leave "
-            "it out with --run"
-        )
-    return scene, order, result["order_method"], seed
-
-
-def scene_difference(one: Scene, two: Scene) -> str | None:
-    """Returns the first field in which two scenes differ with both values, or None."""
-    first, second = one.to_dict(), two.to_dict()
-    for field in first | second:
-        value, other = first.get(field, []), second.get(field, [])
-        if value == other:
-            continue
-        if isinstance(value, list) and len(value) == len(other):
-            pairs = zip(value, other, strict=True)
-            index, (a, b) = next((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1])
-            return f"{field}[{index}] is {b}, not {a}"
-        if isinstance(value, list):
-            return f"{field} has {len(other)} entries, not {len(value)}"
-        return f"{field} is {other}, not {value}"
-    return None
 
 
 def _planned(course: Course) -> tuple[Reference, float]:

@@ -21,7 +21,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mjcollect.envs.course import Course, StartKind
-from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Outcome, Rules
+from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Rules
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.flight.contact import may_touch_rows
 from mjcollect.flight.disturbance import Disturbances

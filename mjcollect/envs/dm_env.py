@@ -19,7 +19,8 @@ from dm_env import specs
 from mujoco import mj_step
 
 from mjcollect.envs.course import Course, StartKind, check_start
-from mjcollect.envs.episode import Episodes, Outcome, Rules
+from mjcollect.envs.episode import Episodes, Rules
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.geometry.compiled import Array, Bools
 from mjcollect.scene.mjcf import build

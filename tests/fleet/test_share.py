@@ -139,6 +139,20 @@ def test_points_are_spread_so_that_none_is_better_placed_elsewhere():
     assert spread(points[:5], 6) is None
 
 
+def test_rounding_does_not_choose_among_places_that_are_equally_good():
+    """Eight or more lie alike on a sphere, and rounding differs between machines."""
+    axis = np.linspace(-1.0, 1.0, 5)
+    grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    outer = grid[np.abs(grid).max(axis=1) == 1.0]
+    points = outer / np.linalg.norm(outer, axis=1, keepdims=True)
+    rng = np.random.default_rng(0)
+    for uavs in range(2, 9):
+        chosen = spread(points, uavs)
+        for _ in range(5):
+            rounded = points + rng.uniform(-1e-14, 1e-14, points.shape)
+            np.testing.assert_allclose(spread(rounded, uavs), chosen, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("kind", DEPOTS)
 def test_no_place_is_shut_in_by_those_that_are_taken(kind):
     """From farther out each is reached in a straight line that keeps apart from all others."""

@@ -18,10 +18,10 @@ from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
-from train.fly import scene_difference
 from train.jobs.workers import Job
 from train.mission import _from_policy, _keep_best
 from train.mission import main as mission
+from train.support.finished_run import scene_difference
 from train.support.run_folder import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
