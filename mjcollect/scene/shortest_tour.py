@@ -7,6 +7,7 @@ non-commercial use only; nothing here imports it unless it is asked for.
 from __future__ import annotations
 
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 
@@ -125,7 +126,7 @@ def search_order(cost: Array, *, seed: int = 0, iterations: int = ITERATIONS) ->
     except ImportError:
         raise TourError("order search: PyVRP is not installed: pip install pyvrp") from None
     unit = max(float(np.max(cost)), 1e-12) / _LONGEST_WEIGHT
-    weights = np.rint(cost / unit).astype(np.int64)
+    weights: Any = np.rint(cost / unit).astype(np.int64)  # its stubs know no (K+1, K+1)
     np.fill_diagonal(weights, 0)  # PyVRP refuses others
     data = pyvrp.ProblemData(
         locations=[pyvrp.Location(0, 0)] * (count + 1),  # all that counts is in the matrix
