@@ -17,7 +17,13 @@ from packaging.utils import canonicalize_name
 
 PAGE = Path(__file__).parents[1] / "docs" / "licences.md"
 BEGIN, END = "<!-- by scripts/licences.py -->", "<!-- end -->"
-EXTRAS = ("ray", "geo", "fleet")  # further ones of pyproject.toml are for development
+FOR_DEVELOPMENT = {"bench", "dev"}  # extras that no user needs
+
+
+def extras() -> list[str]:
+    """Returns mjcollect's extras for users."""
+    offered = distribution("mjcollect").metadata.get_all("Provides-Extra", [])
+    return [extra for extra in offered if extra not in FOR_DEVELOPMENT]
 
 
 def needed(name: str, extra: str = "") -> list[Requirement]:
@@ -37,16 +43,20 @@ def _of_extra(line: Requirement) -> bool:
 
 
 def direct() -> dict[str, str]:
-    """Returns mjcollect's own dependencies with the extra that needs them, blank for none."""
+    """Returns mjcollect's own dependencies with the extras that need them, blank for none."""
     found = {line.name: "" for line in needed("mjcollect")}
-    for extra in EXTRAS:
-        found |= {line.name: extra for line in needed("mjcollect", extra)}
+    for extra in extras():
+        for line in needed("mjcollect", extra):
+            found[line.name] = ", ".join(filter(None, [found.get(line.name), extra]))
     return found
 
 
 def all_needed() -> list[str]:
     """Returns the names of all installed packages that mjcollect needs, directly or not."""
-    queue: list[tuple[str, str]] = [("mjcollect", ""), *(("mjcollect", extra) for extra in EXTRAS)]
+    queue: list[tuple[str, str]] = [
+        ("mjcollect", ""),
+        *(("mjcollect", extra) for extra in extras()),
+    ]
     seen = set(queue)
     for name, extra in queue:
         try:
@@ -95,11 +105,11 @@ def rows(names: list[str]) -> list[tuple[str, str, str]]:
 
 
 def table() -> str:
-    """Returns the Markdown table of the direct dependencies."""
-    extras = direct()
+    """Returns the Markdown table of the direct dependencies that are installed."""
     lines = ["| package | version | extra | licence |", "|---|---|---|---|"]
-    for (name, version, terms), extra in zip(rows(list(extras)), extras.values(), strict=True):
-        lines.append(f"| {name} | {version} | {extra and f'`{extra}`'} | {terms} |")
+    for wanted, extra in direct().items():
+        for name, version, terms in rows([wanted]):
+            lines.append(f"| {name} | {version} | {extra} | {terms} |")
     return "\n".join(lines)
 
 
