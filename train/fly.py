@@ -86,7 +86,8 @@ class Args:
     uavs: int = 1
     """Shares the items of --scene among so many UAVs, which fly at the same time."""
     order: str | None = None
-    """Orders the items of --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
+    """Orders the items of --scene: lkh (default), exact, search, random, given, or a list such as
+    2,0,1."""
     out: Path | None = None
     """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>, with
     the disturbances before the seed."""

@@ -19,7 +19,7 @@ from typing import Literal
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
 from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
-from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.order import SHORTEST, order_label, plan_order
 from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
 from train.fleets.fly import check_fleet, fleet_policies, fly_by_policies, share_scene
@@ -58,8 +58,8 @@ class Args(TrainingArgs):
     """Goes on learning from a policy: shipped, none (learn from nothing, as the paper does), or a
     .safetensors or .pt file."""
     cost: Literal["distance", "time"] = "distance"
-    """Makes the orders lkh and exact minimise the straight distance (distance, as in the paper) or
-    the least time round the boxes (time)."""
+    """Makes the orders lkh, exact and search minimise the straight distance (distance, as in the
+    paper) or the least time round the boxes (time)."""
     uavs: int = 1
     """Shares the items among so many UAVs, which fly at the same time."""
     workers: int = 2
@@ -89,7 +89,7 @@ def train_mission(args: Args) -> int:
     if args.uavs > 1:
         return _train_fleet(args, scene, policy)
     cost = None
-    if args.cost == "time" and args.order in ("lkh", "exact"):
+    if args.cost == "time" and args.order in SHORTEST:
         from mjcollect.guidance.travel_times import travel_times
 
         cost = travel_times(scene)

@@ -18,8 +18,8 @@ from mjcollect.render.fleet_figures import (
     plot_fleet_path_top,
     plot_schedule,
 )
-from mjcollect.scene.order import MAX_EXACT
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.shortest_tour import MAX_EXACT, lkh_installed
 from mjcollect.scene.trajectory import shield_intervals
 from mjcollect.verify import least_gaps, verify_separation
 from train.support.markdown import markdown_table
@@ -55,7 +55,9 @@ class Sharing:
     @property
     def method(self) -> str:
         """Returns how the items were shared and ordered."""
-        return "exact" if len(self.scene.items) <= MAX_EXACT else "pyvrp, lkh"
+        if len(self.scene.items) <= MAX_EXACT:
+            return "exact"
+        return "pyvrp, lkh" if lkh_installed() else "pyvrp"
 
     def folder(self, folder: RunFolder, index: int) -> RunFolder:
         """Returns the folder of a UAV's mission in the fleet's."""

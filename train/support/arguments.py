@@ -26,7 +26,7 @@ class TrainingArgs:
     scene: str = "scenario_1"
     """Scene file, or the name of a bundled scene."""
     order: str = "lkh"
-    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    """Visiting order: lkh, exact, search, random, given (file order), or a list such as 2,0,1."""
     out: Path | None = None
     """Run folder; default: one below runs/ that is named after scene, program and seed."""
     seed: int = 0
