@@ -5,9 +5,9 @@
 
 Every trial learns the same segment with other settings and with several seeds, side by side in
 processes. A trial that is behind the median of the others after an evaluation is pruned. Trial 0
-has the learner's own settings. What was best is trained again, beside these, with seeds that the
-sweep has not used: the best of many trials looks better than it is. The results depend neither on
---jobs nor on stops: Ctrl-C, then --resume, gives the table of one go, its seconds aside.
+has the learner's own settings. The best of the others is trained again, beside these, with seeds
+that the sweep has not used: the best of many trials looks better than it is. The results depend
+neither on --jobs nor on stops: Ctrl-C, then --resume, gives the table of one go, its seconds aside.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import optuna
 
 FILES = ("config.json", "command.txt", "scene.json", "guidance", "study.journal", "sweep.*")
-WARM_UP = 2  # No trial is pruned after so few evaluations.
+WARM_UP = 2  # No trial is pruned before this evaluation.
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Args:
     seeds: int = 2
     """Sets the number of seeds that each of them is trained with."""
     again: int = 4
-    """Sets the number of further seeds for the best settings and the usual ones."""
+    """Sets the number of further seeds for the usual settings and the best others."""
     updates: int = 1_500
     """Sets the number of updates of each training; in the first fifth the critic learns alone."""
     evaluations: int = 6
@@ -147,7 +147,7 @@ def finished(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
 
 
 def sweep(study: optuna.Study, task: Task, args: Args) -> None:
-    """Tries settings until there are `args.trials`, then trains the best and the usual again."""
+    """Tries settings until there are `args.trials`, then trains usual and best others again."""
     import optuna
 
     with hired(args.jobs) as crew, progress_bar(args.trials, "trial") as bar:
@@ -165,8 +165,10 @@ def sweep(study: optuna.Study, task: Task, args: Args) -> None:
         again = dict(study.user_attrs.get("again", {}))
         first = args.seed + args.seeds
         trials = finished(study)
-        best = [trial.number for trial in trials].index(study.best_trial.number)
-        for number in sorted({best, 0} if best > 0 and args.again > 0 else ()):
+        others = [k for k, trial in enumerate(trials) if k > 0 and trial.value is not None]
+        if not others or args.again == 0:
+            return
+        for number in (0, min(others, key=lambda k: trials[k].value)):
             if len(again.get(str(number), ())) != args.again:
                 seeds = range(first, first + args.again)
                 again[str(number)] = train(crew, task, trials[number].params, seeds)[0]

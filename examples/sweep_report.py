@@ -99,26 +99,27 @@ def table(rows: Sequence[Result]) -> list[str]:
 
 
 def verdict(rows: Sequence[Result], again: Mapping[int, Sequence[float]], law: float) -> list[str]:
-    """Returns sentences that compare the best with the usual settings, with seeds new to both."""
-    usual = next(row for row in rows if row.number == 0)
+    """Returns sentences that compare the best others with the usual settings, with new seeds."""
     lines = [f"The guidance law, which learns nothing: {law:.3f}."]
-    if rows[0] is usual:
-        return [*lines, "Nothing was better than the usual settings."]
-    if rows[0].number in again and usual.number in again:
-        best, other = again[rows[0].number], again[usual.number]
-        gained = float(np.mean(other) - np.mean(best))
+    if rows[0].number == 0:
+        lines.append("Nothing was better than the usual settings.")
+    others = [row.number for row in rows if row.number > 0 and row.pruned is None]
+    if not others or others[0] not in again:
+        return lines
+    best, usual = again[others[0]], again[0]
+    lines.append(
+        f"With {len(best)} seeds that the sweep has not used: trial {others[0]} "
+        f"{np.mean(best):.3f} ± {spread(best):.3f}, usual settings {np.mean(usual):.3f} ± "
+        f"{spread(usual):.3f}."
+    )
+    if len(best) > 1:
+        gained = float(np.mean(usual) - np.mean(best))
+        error = math.sqrt((spread(best) ** 2 + spread(usual) ** 2) / len(best))
+        which = "a clear difference" if abs(gained) > CLEAR * error else "no clear difference"
         lines.append(
-            f"With {len(best)} seeds that the sweep has not used: trial {rows[0].number} "
-            f"{np.mean(best):.3f} ± {spread(best):.3f}, usual settings {np.mean(other):.3f} ± "
-            f"{spread(other):.3f}."
+            f"The trial gains {gained:+.3f} with a standard error of {error:.3f}: {which} (it "
+            f"would take {CLEAR:.0f} standard errors)."
         )
-        if len(best) > 1 and len(other) > 1:
-            error = math.sqrt(spread(best) ** 2 / len(best) + spread(other) ** 2 / len(other))
-            which = "a clear difference" if abs(gained) > CLEAR * error else "no clear difference"
-            lines.append(
-                f"It gains {gained:.3f}, with a standard error of {error:.3f}: {which} (it would "
-                f"take {CLEAR:.0f} standard errors)."
-            )
     return lines
 
 
@@ -137,31 +138,35 @@ def save_csv(path: Path, rows: Sequence[Result]) -> None:
 
 
 def plot(path: Path, rows: Sequence[Result], law: float) -> None:
-    """Draws the score over each setting: a dot for each seed, a bar for the mean."""
+    """Draws what the time is above the bound over each setting: a dot for each seed, a bar for all.
+
+    The axis is logarithmic, since what never arrives is a hundred times worse than what is good.
+    """
     names = list(rows[0].settings)
-    figure = Figure(figsize=(2.6 * len(names), 3.2), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(2.6 * len(names), 3.4), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    done = [row for row in rows if row.pruned is None]
-    top = max(max(row.scores) for row in done)
-    low = min(law, min(min(row.scores) for row in done))
-    for axes, name in zip(
-        np.atleast_1d(figure.subplots(1, len(names), sharey=True)), names, strict=True
-    ):
+    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    for axes, name in zip(panels, names, strict=True):
         for row in rows:
-            usual = row.number == 0
-            colour = "#B0B0B0" if row.pruned is not None else RED if usual else BLUE
+            colour = "#B0B0B0" if row.pruned is not None else RED if row.number == 0 else BLUE
             at = row.settings[name]
-            axes.plot([at] * len(row.scores), row.scores, ".", color=colour, markersize=5)
-            axes.plot(at, row.mean, "_", color=colour, markersize=12)
-        axes.axhline(law, color=GREEN, linewidth=1.2)
+            axes.plot([at] * len(row.scores), _above(row.scores), ".", color=colour, markersize=5)
+            axes.plot(at, _above([row.mean])[0], "_", color=colour, markersize=12)
+        axes.axhline(_above([law])[0], color=GREEN, linewidth=1.2)
         axes.set_xlabel(name)
-        if name.startswith("alpha") or name == "batch":
+        axes.set_yscale("log")
+        values = sorted({row.settings[name] for row in rows})
+        if values[0] > 0 and values[-1] > 8 * values[0]:
             axes.set_xscale("log")
-        room = 0.08 * max(top - low, 0.01)
-        axes.set_ylim(low - room, top + room)
+        if all(isinstance(value, int) for value in values):
+            axes.set_xticks(values, labels=[str(value) for value in values])
+            axes.minorticks_off()
         plain(axes)
-    figure.axes[0].set_ylabel("time / lower bound")
-    figure.suptitle(
-        "blue: settings tried; red: usual; grey: pruned; green line: guidance law", size=10
-    )
+    panels[0].set_ylabel("time / lower bound - 1")
+    title = "red: usual settings; blue: others; grey: pruned; green line: guidance law"
+    figure.suptitle(title, size=10)
     figure.savefig(path)
+
+
+def _above(scores: Sequence[float]) -> list[float]:
+    return [max(score - 1.0, 1e-4) for score in scores]

@@ -135,7 +135,7 @@ def test_the_verdict_weighs_the_gain_against_its_standard_error():
     assert "a clear difference" in said([1.10, 1.11, 1.12], [1.20, 1.21, 1.22])
     unclear = said([1.0, 1.2, 1.4], [1.1, 1.3, 1.5])
     # Each mean has the standard error 0.2 / sqrt(3).
-    assert "gains 0.100, with a standard error of 0.163: no clear difference" in unclear
+    assert "gains +0.100 with a standard error of 0.163: no clear difference" in unclear
     assert "a clear difference" in said([1.20, 1.21, 1.22], [1.10, 1.11, 1.12])  # for the worse
     assert "Nothing was better" in verdict(found[1:], {}, 1.0)[-1]
 
