@@ -79,7 +79,7 @@ class Args:
 
 
 QUICK = Args(
-    out=Path("runs/sweep-quick"), trials=3, again=2, updates=240, evaluations=3, judged=8, envs=16,
+    out=Path("runs/sweep-quick"), trials=3, again=1, updates=240, evaluations=3, judged=8, envs=16,
     demonstrations=2_048, quick=True,
 )  # fmt: skip
 
