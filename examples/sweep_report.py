@@ -60,6 +60,12 @@ def spread(scores: Sequence[float]) -> float:
     return float(np.std(scores, ddof=1)) if len(scores) > 1 else math.nan
 
 
+def shown(scores: Sequence[float]) -> str:
+    """Returns mean and spread as text."""
+    mean = f"{np.mean(scores):.3f}"
+    return f"{mean} ± {spread(scores):.3f}" if len(scores) > 1 else mean
+
+
 def ranked(results: Sequence[Result]) -> list[Result]:
     """Returns the results, best first, pruned ones last."""
     return sorted(results, key=lambda r: (r.pruned is not None, -(r.pruned or 0), r.mean, r.number))
@@ -88,7 +94,7 @@ def table(rows: Sequence[Result]) -> list[str]:
     columns = ["trial", *names, "time / bound", "success", "wall (s)"]
     body = []
     for row in rows:
-        ended = f"{row.mean:.3f} ± {spread(row.scores):.3f}"
+        ended = shown(row.scores)
         if row.pruned is not None:
             ended += f", pruned at evaluation {row.pruned}"
         success = "-" if row.pruned is not None else f"{row.success:.0%}"
@@ -108,9 +114,8 @@ def verdict(rows: Sequence[Result], again: Mapping[int, Sequence[float]], law: f
         return lines
     best, usual = again[others[0]], again[0]
     lines.append(
-        f"With {len(best)} seeds that the sweep has not used: trial {others[0]} "
-        f"{np.mean(best):.3f} ± {spread(best):.3f}, usual settings {np.mean(usual):.3f} ± "
-        f"{spread(usual):.3f}."
+        f"With seeds that the sweep has not used, {len(best)}: trial {others[0]} {shown(best)}, "
+        f"usual settings {shown(usual)}."
     )
     if len(best) > 1:
         gained = float(np.mean(usual) - np.mean(best))
