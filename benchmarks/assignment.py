@@ -19,7 +19,7 @@ from mjcollect.generate import generate
 from mjcollect.planners.assignment import assign, exact_assignment, makespan, search_assignment
 from mjcollect.planners.fleet_bound import fleet_bound
 from mjcollect.scene.bounds import leg_bounds
-from mjcollect.scene.order import MAX_EXACT
+from mjcollect.scene.shortest_tour import MAX_EXACT
 
 COLUMNS = (
     ("items", "{items}"),

@@ -11,6 +11,7 @@ import pytest
 from dm_control.rl import control
 from dm_env import StepType
 from torchrl.envs import DMControlWrapper
+from torchrl.envs.utils import check_env_specs
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import START_KINDS
@@ -125,6 +126,7 @@ def test_observations_and_discounts_are_as_specified(environment):
         if timestep.first():
             assert timestep.reward is timestep.discount is None
         else:
+            assert (type(timestep.reward), type(timestep.discount)) == (float, float)
             environment.discount_spec().validate(timestep.discount)
             assert timestep.discount in ((0.0, 1.0) if timestep.last() else (1.0,))
 
@@ -138,6 +140,18 @@ def test_rewards_are_finite_and_of_their_range(make, task, reward):
     for value in paid:
         environment.reward_spec().validate(value)
     assert low <= min(paid) < max(paid) <= high
+
+
+def test_a_step_changes_neither_its_action_nor_the_specs(make, task, observation):
+    environment = make(task, observation=observation)
+    specs = environment.action_spec(), environment.observation_spec(), environment.reward_spec()
+    environment.reset()
+    for action in (np.array([0.3, -0.2, 0.9]), np.array([np.nan, 7.0, -1.0])):
+        given = action.copy()
+        environment.step(action)
+        np.testing.assert_array_equal(action, given)
+    after = environment.action_spec(), environment.observation_spec(), environment.reward_spec()
+    assert after == specs
 
 
 def test_a_slot_lasts_as_long_as_the_scene_says(environment):
@@ -162,7 +176,9 @@ def test_every_part_of_the_model_has_a_name_and_there_are_cameras(environment):
     counts = {
         "body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "site": model.nsite,
         "camera": model.ncam, "light": model.nlight, "texture": model.ntex, "material": model.nmat,
-        "actuator": model.nu, "sensor": model.nsensor,
+        "actuator": model.nu, "sensor": model.nsensor, "mesh": model.nmesh,
+        "hfield": model.nhfield, "equality": model.neq, "tendon": model.ntendon,
+        "numeric": model.nnumeric, "text": model.ntext, "tuple": model.ntuple,
     }  # fmt: skip
     names = {kind: [model.id2name(k, kind) for k in range(n)] for kind, n in counts.items()}
     assert all(all(found) for found in names.values()), names
@@ -299,6 +315,7 @@ def test_actions_out_of_the_spec_or_not_finite_are_flown_within_the_limits(envir
 def test_torchrl_accepts_it(make, task, observation):
     environment = make(task, observation=observation, random=1)
     wrapped = DMControlWrapper(environment)
+    check_env_specs(wrapped)
     tensordict = wrapped.reset()
     tensordict["action"] = wrapped.action_spec.rand()
     after = wrapped.step(tensordict)["next"]

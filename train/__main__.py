@@ -15,6 +15,7 @@ PROGRAMS = {
     "scene": "mjcollect.scene.__main__",
     "generate": "mjcollect.generate.__main__",
     "render": "mjcollect.render.__main__",
+    "replay": "mjcollect.replay.__main__",
     "verify": "mjcollect.verify.__main__",
     "export": "mjcollect.export.__main__",
     "import": "mjcollect.generate.import_place",
@@ -31,7 +32,11 @@ def main(argv: list[str] | None = None) -> int:
         wrong = f"error: program: {given[0]!r}: must be one of {names}" if given else said
         print(said if asked else wrong, file=sys.stdout if asked else sys.stderr)
         return 0 if asked else 2
-    module = importlib.import_module(PROGRAMS[given[0]])
+    try:
+        module = importlib.import_module(PROGRAMS[given[0]])
+    except ImportError as error:  # an extra is not installed
+        print(f"error: {given[0]}: {error}", file=sys.stderr)
+        return 2
     return int(module.main(given[1:]))
 
 

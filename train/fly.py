@@ -55,6 +55,7 @@ from train.support.disturbed_mission import (
     judged,
     write_air,
 )
+from train.support.finished_run import finished_run, scene_difference
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
@@ -85,7 +86,8 @@ class Args:
     uavs: int = 1
     """Shares the items of --scene among so many UAVs, which fly at the same time."""
     order: str | None = None
-    """Orders the items of --scene: lkh (default), exact, random, given, or a list such as 2,0,1."""
+    """Orders the items of --scene: lkh (default), exact, search, random, given, or a list such as
+    2,0,1."""
     out: Path | None = None
     """Writes the results to this folder; by default runs/fly/<scene or run>-<planner>-seed<N>, with
     the disturbances before the seed."""
@@ -109,6 +111,8 @@ class Args:
     """Starts anew in a folder that is not empty."""
     video: bool = True
     """Renders mission.mp4."""
+    replay: bool = True
+    """Writes replay.html, which shows the flight in a browser."""
     plots: bool = True
     """Draws the plots."""
 
@@ -139,7 +143,7 @@ def fly_mission(args: Args) -> int:
     policy = None if args.policy is None else start_from(args.policy, LearnConfig())[0]
     training_results: Sequence[dict[str, Any] | None]
     if args.run is not None:
-        scene, order, method, seed = _finished_run(args)
+        scene, order, method, seed = finished_run(args.run, args.scene, args.seed, args.order)
         segments = [RunFolder(args.run).segment(k) for k in range(len(order) + 1)]
         by_policy = args.planner == "policy"  # Other pilots do not depend on the training.
         training_results = [
@@ -225,7 +229,8 @@ def fly_mission(args: Args) -> int:
         write_air(folder, course, order, flown, args.plots)
     write_mission(folder, scene, result, flight, plots=args.plots, air=air)
     folder.unlock()
-    return finish(folder, [folder.path / "mission.mp4"] if args.video else [], args.plots, notes)
+    videos = [folder.path / "mission.mp4"] if args.video else []
+    return finish(folder, videos, args.plots, notes, replay=args.replay)
 
 
 def fly_fleet_mission(args: Args) -> int:
@@ -298,7 +303,7 @@ def fly_fleet_mission(args: Args) -> int:
         say(note)
     write_fleet(folder, sharing, flown, args.planner, seed, trained, plots=args.plots)
     folder.unlock()
-    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+    return finish_fleet(folder, video=args.video, replay=args.replay, plots=args.plots, notes=notes)
 
 
 def check_same_fleet(args: Args, sharing: Sharing, seed: int) -> None:
@@ -338,63 +343,13 @@ def _train(
         training = segment.Args(
             scene=str(folder.path / "scene.json"), order=",".join(map(str, order)), segment=index,
             out=own.path, seed=seed, policy=args.policy, guidance_cache=Path(guidance),
-            video=False, overwrite=True, learn=learn,
+            video=False, replay=False, overwrite=True, learn=learn,
         )  # fmt: skip
         if segment.train_segment(training) == INTERRUPTED:
             raise KeyboardInterrupt
     result = own.read_json("segment.json")
     assert result is not None
     return TrainedPolicy.load(own.path / "policy.pt"), result
-
-
-def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
-    """Returns the run's scene, order, method of ordering, and seed.
-
-    Raises:
-        RunError: the run is not a finished mission, or does not match the other arguments.
-    """
-    assert args.run is not None
-    run = RunFolder(args.run)
-    result = run.read_json("mission.json")
-    if result is None:
-        raise RunError(
-            f"--run: {args.run}: holds no mission.json; name the folder of a finished mission"
-        )
-    scene = Scene.load(args.run / "scene.json")
-    others = [run.segment(k).path / "scene.json" for k in range(len(result["segments"]))]
-    given = [("--scene", Scene.find(args.scene))] if args.scene is not None else []
-    for name, other in given + [(str(path), Scene.load(path)) for path in others]:
-        if difference := scene_difference(scene, other):
-            raise RunError(
-                f"{name}: differs from {args.run / 'scene.json'}, for which the run was trained: "
-                f"{difference}; train again for another scene"
-            )
-    order, seed = tuple(result["order"]), result["seed"]
-    if args.seed not in (None, seed):
-        raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
-    if args.order is not None and plan_order(scene, args.order, seed=seed) != order:
-        raise RunError(
-            f"--order: {args.order}: the run's is {list(order)} ({result['order_method']}); leave "
-            "it out with --run"
-        )
-    return scene, order, result["order_method"], seed
-
-
-def scene_difference(one: Scene, two: Scene) -> str | None:
-    """Returns the first field in which two scenes differ with both values, or None."""
-    first, second = one.to_dict(), two.to_dict()
-    for field in first | second:
-        value, other = first.get(field, []), second.get(field, [])
-        if value == other:
-            continue
-        if isinstance(value, list) and len(value) == len(other):
-            pairs = zip(value, other, strict=True)
-            index, (a, b) = next((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1])
-            return f"{field}[{index}] is {b}, not {a}"
-        if isinstance(value, list):
-            return f"{field} has {len(other)} entries, not {len(value)}"
-        return f"{field} is {other}, not {value}"
-    return None
 
 
 def _planned(course: Course) -> tuple[Reference, float]:

@@ -19,7 +19,7 @@ from typing import Literal
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
 from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
-from mjcollect.scene.order import order_label, plan_order
+from mjcollect.scene.order import SHORTEST, order_label, plan_order
 from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
 from train.fleets.fly import check_fleet, fleet_policies, fly_by_policies, share_scene
@@ -64,8 +64,8 @@ class Args(TrainingArgs):
     """Goes on learning from a policy: shipped, none (learn from nothing, as the paper does), or a
     .safetensors or .pt file."""
     cost: Literal["distance", "time"] = "distance"
-    """Makes the orders lkh and exact minimise the straight distance (distance, as in the paper) or
-    the least time round the boxes (time)."""
+    """Makes the orders lkh, exact and search minimise the straight distance (distance, as in the
+    paper) or the least time round the boxes (time)."""
     uavs: int = 1
     """Shares the items among so many UAVs, which fly at the same time."""
     workers: int = 2
@@ -95,7 +95,7 @@ def train_mission(args: Args) -> int:
     if args.uavs > 1:
         return _train_fleet(args, scene, policy)
     cost = None
-    if args.cost == "time" and args.order in ("lkh", "exact"):
+    if args.cost == "time" and args.order in SHORTEST:
         from mjcollect.guidance.travel_times import travel_times
 
         cost = travel_times(scene)
@@ -207,7 +207,7 @@ def _train_fleet(args: Args, scene: Scene, policy: TrainedPolicy | None) -> int:
         for uav, course in enumerate(sharing.courses)
         for note in _notes(sharing.folder(folder, uav), len(course.guidance))
     ]
-    return finish_fleet(folder, video=args.video, plots=args.plots, notes=notes)
+    return finish_fleet(folder, video=args.video, replay=args.replay, plots=args.plots, notes=notes)
 
 
 def _learn_fleet(args: Args, folder: RunFolder, sharing: Sharing) -> bool:
@@ -281,6 +281,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
             "--logger", args.logger,
             "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
+            "--replay" if args.replay else "--no-replay",
             *settings_arguments(dataclasses.asdict(args.learn)),
             "--guidance-cache", str((folder.path / "guidance").resolve()),
             *(["--preset", args.preset] if args.preset else []),
@@ -360,7 +361,8 @@ def _finish(folder: RunFolder, args: Args, segments: int) -> int:
         videos = [folder.path / "mission.mp4"]
         if segments <= MOST_SEGMENT_VIDEOS + 1:  # Some may have been stopped before theirs.
             videos += [folder.segment(k).path / "segment.mp4" for k in range(segments)]
-    return finish(folder, videos, args.plots, _notes(folder, segments))
+    notes = _notes(folder, segments)
+    return finish(folder, videos, args.plots, notes, replay=args.replay)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from mjcollect.scene.order import MAX_EXACT, TourError, plan_order
+from mjcollect.scene.order import TourError, plan_order
+from mjcollect.scene.shortest_tour import MAX_EXACT
 from train.jobs.workers import connect_ray
 from train.reproduction.figures import draw
 from train.reproduction.page import page

@@ -34,7 +34,7 @@ from train.support.arguments import (
     check_still,
 )
 from train.support.command_line import INTERRUPTED, run_program, say
-from train.support.mission_report import film, write_record
+from train.support.mission_report import film, write_record, write_replay
 from train.support.presets import with_preset, with_slot
 from train.support.run_folder import RunError, RunFolder, default_folder, finite, versions
 from train.support.starting_policy import check_size, start_from
@@ -92,7 +92,7 @@ def train_segment(args: Args) -> int:
     folder = RunFolder(args.out or default_folder("segment", scene.slug, *name))
     folder.check(config, resume=args.resume, overwrite=args.overwrite)
     if args.resume and folder.read_json("segment.json") is not None:
-        return _report(folder, args.video)
+        return _report(folder, args)
     if args.resume:
         folder.check_scene(scene, args.scene)
     say(f"{scene.name}: order {list(order)}, segment {index}: {_legend(order, index)}")
@@ -126,7 +126,7 @@ def _run(
         _finish(trainer, course, folder, order, index, args.plots)
     finally:
         trainer.close()
-    return _report(folder, args.video)
+    return _report(folder, args)
 
 
 def _progress(row: dict[str, float], bound: float) -> str:
@@ -207,11 +207,13 @@ def _mpc_time(course: Course, order: tuple[int, ...], index: int) -> float | Non
     return None if fails else flight.trajectory.duration
 
 
-def _report(folder: RunFolder, video: bool) -> int:
-    """Renders a missing video and prints the result; returns 0 for success, else 1."""
+def _report(folder: RunFolder, args: Args) -> int:
+    """Makes a missing replay and video, prints the result; returns 0 for success, else 1."""
     result = folder.read_json("segment.json")
     assert result is not None
-    if video:
+    if args.replay:
+        write_replay(folder)
+    if args.video:
         film(folder.path / "segment.mp4")
     where = f"{_legend(result['order'], result['segment'])}, {os.path.relpath(folder.path)}"
     if result["success"]:

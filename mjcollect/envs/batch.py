@@ -21,7 +21,8 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from mjcollect.envs.course import Course, StartKind
-from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Outcome, Rules
+from mjcollect.envs.episode import FLEET_SAVED, SAVED, Episodes, Rules
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.flight.contact import may_touch_rows
 from mjcollect.flight.disturbance import Disturbances
@@ -72,11 +73,14 @@ class Simulations:
         """Compiles one model per distinct scene and prepares the threads.
 
         Args:
-            courses: one course for all simulations, or one each. count: N.
+            courses: one course for all simulations, or one each.
+            count: N.
             uavs: M, the number of UAVs in each MuJoCo simulation, whose flights follow each other
                 among the N; there are N / M simulations then.
-            rules: observation, reward and shield. start: kind of start states; rng: draws them.
-            threads: number of MuJoCo's threads. disturbances: those of these simulations, if any.
+            rules: observation, reward and shield.
+            start: kind of start states; rng: draws them.
+            threads: number of MuJoCo's threads.
+            disturbances: those of these simulations, if any.
         """
         rules = rules or Rules()
         if count % uavs:

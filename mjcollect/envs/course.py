@@ -32,6 +32,12 @@ LAST_PART = 1.3  # Half of the starts under way lie within this many stops from 
 SPEEDS = (0.6, 1.02)  # Starts under way have this share of the speed that can just be stopped.
 
 
+def check_start(kind: str) -> None:
+    """Raises a ValueError where there is no such kind of start."""
+    if kind not in START_KINDS:
+        raise ValueError(f"start: {kind!r}: must be one of {', '.join(START_KINDS)}")
+
+
 @dataclass(frozen=True, eq=False)
 class Course:
     """Says where to go, with the guidance to each target.
@@ -97,7 +103,8 @@ class Course:
         """Returns the course of segment `index`, 0 to K, of a tour of K items.
 
         Args:
-            scene: scene of the tour. order: (K,) indices of the items in the order of visit.
+            scene: scene of the tour.
+            order: (K,) indices of the items in the order of visit.
             folder: folder from which to load saved guidance, if any.
 
         Raises:

@@ -18,8 +18,9 @@ from tqdm import tqdm
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
-from mjcollect.envs.episode import Outcome, Rules
+from mjcollect.envs.episode import Rules
 from mjcollect.envs.exploration import Exploration
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.recording import SILENT, Flight
 from mjcollect.flight.disturbance import STRENGTHS, Disturbance, Disturbances
 from mjcollect.flight.moving_boxes import LEAST_WAY, MovingBoxes
@@ -62,7 +63,8 @@ class DisturbedFlight:
     """Holds one flight.
 
     Attributes:
-        ended: how it ended, one of ENDS. air: what disturbed it, None in calm air.
+        ended: how it ended, one of ENDS.
+        air: what disturbed it, None in calm air.
         gave_way: share of the slots in which the shield kept less than its margin.
     """
 

@@ -18,8 +18,9 @@ from dm_control.rl import control
 from dm_env import specs
 from mujoco import mj_step
 
-from mjcollect.envs.course import START_KINDS, Course, StartKind
-from mjcollect.envs.episode import Episodes, Outcome, Rules
+from mjcollect.envs.course import Course, StartKind, check_start
+from mjcollect.envs.episode import Episodes, Rules
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.geometry.compiled import Array, Bools
 from mjcollect.scene.mjcf import build
@@ -85,7 +86,8 @@ class FlightTask(control.Task):
         """Sets up the task.
 
         Args:
-            course: nodes to visit. rules: observation, reward and shield.
+            course: nodes to visit.
+            rules: observation, reward and shield.
             start: kind of start state, explained at `Course.starts`.
             random: seed or random state of the starts.
             others: courses of the other UAVs of a fleet, for `fleet.dm_env`.
@@ -93,8 +95,7 @@ class FlightTask(control.Task):
         Raises:
             ValueError: the kind of start is unknown.
         """
-        if start not in START_KINDS:
-            raise ValueError(f"start: {start!r}: must be one of {', '.join(START_KINDS)}")
+        check_start(start)
         self.course, self.start = course, start
         self.courses = (course, *others)
         uavs = len(self.courses)
@@ -237,6 +238,27 @@ def task_names() -> tuple[str, ...]:
     return tuple(_TASKS)
 
 
+def course_of(
+    task: str,
+    scene: Scene | str | os.PathLike[str] = DEFAULT_SCENE,
+    *,
+    order: str = "lkh",
+    seed: int = 0,
+    **task_kwargs: Any,
+) -> Course:
+    """Returns the course of a task by its name, with arguments as in `load`.
+
+    Raises:
+        ValueError: the task is unknown; the message lists those of one course.
+        SceneError: the scene is refused.
+    """
+    if task not in _TASKS:
+        raise ValueError(f"task: {task!r}: must be one of {', '.join(_TASKS)}")
+    if not isinstance(scene, Scene):
+        scene = Scene.find(scene)
+    return _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
+
+
 def load(
     task: str,
     scene: Scene | str | os.PathLike[str] = DEFAULT_SCENE,
@@ -258,10 +280,13 @@ def load(
             (with `uavs=M`), see `planners.fleets.fleet_environment`.
         scene: a `Scene`, a scene file, or the name of a bundled scene.
         order: method of the visiting order, as `plan_order` takes it; `seed` is for `random`.
-        observation, reward: names of the observation and the reward preset.
-        start: kind of start states, as `Course.starts` takes it. random: seed of the start states.
+        observation: name of the observation.
+        reward: name of the reward preset.
+        start: kind of start states, as `Course.starts` takes it.
+        random: seed of the start states.
         shield: whether to bend commands that leave no way to stop without touching anything.
-        environment_kwargs: arguments of `control.Environment`. task_kwargs: arguments of the task.
+        environment_kwargs: arguments of `control.Environment`.
+        task_kwargs: arguments of the task.
 
     Raises:
         ValueError: a name is unknown; the message lists the valid ones.
@@ -269,8 +294,6 @@ def load(
     """
     if task not in (*_TASKS, *_PLACES):
         raise ValueError(f"task: {task!r}: must be one of {', '.join((*_TASKS, *_PLACES))}")
-    if not isinstance(scene, Scene):
-        scene = Scene.find(scene)
     options: dict[str, Any] = {
         "observation": observation,
         "reward": reward,
@@ -282,6 +305,8 @@ def load(
     if task in _PLACES:
         module, name = _PLACES[task].split(":")
         make: Callable[..., control.Environment] = getattr(importlib.import_module(module), name)
+        if not isinstance(scene, Scene):
+            scene = Scene.find(scene)
         return make(scene, order=order, seed=seed, **task_kwargs, **options)
-    course = _TASKS[task](scene, plan_order(scene, order, seed=seed), **task_kwargs)
+    course = course_of(task, scene, order=order, seed=seed, **task_kwargs)
     return make_environment(course, **options)

@@ -21,6 +21,7 @@ from mjcollect.envs.observation import (
     State,
     places,
 )
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.envs.targets import Targets
 from mjcollect.flight import disturbance_estimate as air
@@ -62,7 +63,8 @@ class Rules:
     """Says by which rules an episode runs.
 
     Attributes:
-        observation, reward: names in `OBSERVATIONS` and `PRESETS`. gamma: discount per slot.
+        observation, reward: names in `OBSERVATIONS` and `PRESETS`.
+        gamma: discount per slot.
         shield: whether to bend commands that leave no way to stop without touching anything.
         estimate: what decisions know of disturbances: what the flight shows (flight), all but the
             gusts to come (truth), or nothing (none). Commands counter what is known.
@@ -90,29 +92,6 @@ class Rules:
             raise ValueError(f"gamma: {self.gamma}: must lie between 0 and 1")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Holds the result of one slot in N episodes, each (N,).
-
-    Attributes:
-        reward: reward of the slot. slot: events of the slot.
-        terminated: whether the course was finished or a crash ended the episode.
-        truncated: whether the step limit ended the episode.
-        success: whether the course was finished. shielded: whether the shield changed the command.
-        room: share of its margin that the shield kept, 1 in calm air.
-        struck: whether the body touched a moving box, or came too near to a UAV of its fleet.
-    """
-
-    reward: Array
-    slot: Slot
-    terminated: Bools
-    truncated: Bools
-    success: Bools
-    shielded: Bools
-    room: Array
-    struck: Bools
-
-
 class Episodes:
     """Runs N episodes, each on a course of its own or all on one.
 
@@ -121,7 +100,8 @@ class Episodes:
         v: (N, 3) velocities (m/s). target: (N,) index of each episode's current target.
         seen_world: the world as decisions see it, with the a_max to count on and moving boxes last.
         known: what is known of disturbances. sums: what it is made of, if it is of the flight.
-        collected: (N, K) flags. steps: (N,) slots flown. crashed: (N,) whether any slot crashed.
+        collected: (N, K) flags. steps: (N,) slots flown, but for those it waited for others to
+            land. crashed: (N,) whether any slot crashed.
         home: (N,) whether it has finished, and waits for the others of its fleet.
         held, left, asked: (N, 3), (N,), (N,) the shield's state. room: (N,) share of its margin
             that it kept. approach: how each stands towards its target.
@@ -168,7 +148,10 @@ class Episodes:
         )
         self.held, self.left = np.zeros((count, 3)), np.zeros(count, dtype=np.intp)
         self.asked, self.room = np.ones(count), np.ones(count)
-        self.traffic = RightOfWay(count, uavs) if uavs > 1 and rules.shield else None
+        self.traffic: RightOfWay | None = None
+        if uavs > 1 and rules.shield:
+            targets = self.targets
+            self.traffic = RightOfWay(targets.guidance, targets.first, targets.last, uavs)
         self._all = np.arange(count)
         self._update_estimates()
         self.approach = self._approach()
@@ -235,6 +218,7 @@ class Episodes:
             action = np.einsum("nk,nkj->nj", action, self.approach.frame)
         if self.traffic is not None:
             action = self.traffic.actions(self._seen_fleet(), action)
+            tolerance = np.where(self.traffic.kept_out, -np.inf, tolerance)
         if self.uavs > 1:
             action = np.where(self.home[:, None], 0.0, action)
         world, q, v = self.seen_world, self.q, self.seen_v
@@ -254,10 +238,7 @@ class Episodes:
 
     def _seen_fleet(self) -> Seen:
         """Returns what the fleets know."""
-        return Seen(
-            self.world, self.targets.guidance, self.target, self.q, self.seen_v, self.shielded,
-            self.home,
-        )  # fmt: skip
+        return Seen(self.world, self.target, self.q, self.seen_v, self.shielded, self.home)
 
     def _margins(self) -> Margins:
         """Returns what the shield keeps clear of in disturbed air."""
@@ -300,7 +281,8 @@ class Episodes:
         after = self._approach()
         reward = self._preset.reward(self.world, before, after, slot, self.rules.gamma)
         self.crashed |= slot.crashed
-        self.steps += 1
+        # The time until others have landed is not its own.
+        self.steps += 1 if self.traffic is None else self.traffic.lands_after < 0
         success = slot.arrived & (self.target == self.targets.last)
         if self.uavs > 1:
             reward = np.where(self.home, 0.0, reward)

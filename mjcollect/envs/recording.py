@@ -23,9 +23,11 @@ class Flight:
 
     Attributes:
         trajectory: every physics step, up to the first contact if there was one.
-        success: whether the course was finished. contacts: number of slots with a contact.
+        success: whether the course was finished.
+        contacts: number of slots with a contact.
         arrivals: time at which each target was reached, as far as they were (s).
-        shielded: whether the shield changed the command of each slot. slot: a slot's duration (s).
+        shielded: whether the shield changed the command of each slot.
+        slot: a slot's duration (s).
     """
 
     trajectory: Trajectory
@@ -85,7 +87,8 @@ def record(
 
     Args:
         pilot: maps the flat observation (D,) float32 and the task to an action (3,), every slot.
-        observation: name of the observation. shield: as in `fly`.
+        observation: name of the observation.
+        shield: as in `fly`.
     """
     environment = make_environment(course, observation=observation, shield=shield)
     task: FlightTask = environment.task

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mjcollect.envs.course import Course
-from mjcollect.envs.episode import Episodes, Outcome
+from mjcollect.envs.episode import Episodes
+from mjcollect.envs.outcome import Outcome
 from mjcollect.envs.reward import PRESETS
 from mjcollect.fleet.share import parts
 from mjcollect.geometry.compiled import Bools

@@ -65,7 +65,7 @@ def fly_fleet(courses: Sequence[Course], pilot: Pilot, rules: Rules) -> FleetFli
             outcome = sims.step(pilot(sims))
             slots += 1
             if sims.episodes.traffic is not None:
-                made_room += sims.episodes.traffic.asked_by >= 0
+                made_room += sims.episodes.traffic.gives_way
             for index in running:
                 tracks[index].slot(sims, outcome, None)
             running = [index for index in running if not tracks[index].ended]

@@ -56,7 +56,8 @@ class FleetParallelEnv(ParallelEnv):
 
         Args:
             courses: M courses, one for each UAV, as `fleet.episode.courses` makes them.
-            rules: observation, reward and shield. start: kind of start states, as `Course.starts`
+            rules: observation, reward and shield.
+            start: kind of start states, as `Course.starts`
                 takes it. seed: of the start states.
         """
         m = len(courses)

@@ -18,6 +18,7 @@ GRID = 13  # Places are looked for in the directions of a cube's surface with su
 SHARES = 0.025 * np.arange(18, 0, -1)  # Stops may miss them by one of these shares of the depot's
 # tolerance, the greatest for which there is room.
 STEEP = 12  # The force between places falls with this power of their distance.
+TIE = 1e-9  # Of what is equal up to rounding the first counts, so that no machine decides.
 
 
 def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
@@ -41,8 +42,10 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
     ways = np.concatenate([outer / np.linalg.norm(outer, axis=1, keepdims=True), _ring(count)])
     for share in SHARES:
         tolerance = float(share) * whole
+        if count > most_places(whole - tolerance, scene.apart + 2 * tolerance - TIE):
+            continue
         chosen = spread(_free(scene, depot, depot + (whole - tolerance) * ways), count)
-        if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance:
+        if chosen is not None and least_gap(chosen) >= scene.apart + 2 * tolerance - TIE:
             return chosen, tolerance
     raise SceneError(
         "return_tolerance", whole,
@@ -50,6 +53,17 @@ def pads(scene: Scene, count: int, number: int = 0) -> tuple[Array, float]:
         f"{'the depot' if number == 0 else depot_field(number)}; "
         "raise it, lower separation, or take fewer UAVs",
     )  # fmt: skip
+
+
+def most_places(radius: float, gap: float) -> float:
+    """Returns how many points of a sphere can at most be `gap` m from each other.
+
+    Round each there is a cap of the sphere that holds no part of another's cap.
+    """
+    if gap >= 2 * radius:
+        return 1.0 if gap > 2 * radius else 2.0
+    half = np.arcsin(gap / (2 * radius))  # half the angle between two, seen from the centre
+    return float(2.0 / (1.0 - np.cos(half)))
 
 
 def _ring(count: int) -> Array:
@@ -76,24 +90,31 @@ def spread(points: Array, count: int) -> Array | None:
     """
     if len(points) < count:
         return None
-    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    push_of = _pushes(points)
+    chosen = [_least(-np.linalg.norm(points - points.mean(axis=0), axis=1))]
     while len(chosen) < count:
-        chosen.append(int(_push(points, points[chosen]).argmin()))
+        chosen.append(_least(push_of.take(chosen, axis=1).sum(axis=1)))
     moved = True
     while moved:
         moved = False
         for uav in range(count):
-            push = _push(points, points[chosen[:uav] + chosen[uav + 1 :]])
-            to = int(push.argmin())
+            push = push_of.take(chosen[:uav] + chosen[uav + 1 :], axis=1).sum(axis=1)
+            to = _least(push)
             if push[to] < push[chosen[uav]] * (1 - 1e-9):
                 chosen[uav], moved = to, True
     return points[chosen]
 
 
-def _push(points: Array, others: Array) -> Array:
-    """Returns how hard others (m, 3) push at points (n, 3), as a number (n,)."""
-    gap = np.linalg.norm(points[:, None] - others, axis=2)
-    return np.asarray(np.sum(np.maximum(gap, 1e-9) ** -STEEP, axis=1))
+def _pushes(points: Array) -> Array:
+    """Returns how hard each of points (n, 3) pushes at each, as numbers (n, n)."""
+    gap = np.linalg.norm(points[:, None] - points, axis=2)
+    return np.asarray(np.maximum(gap, 1e-9) ** -STEEP)
+
+
+def _least(values: Array) -> int:
+    """Returns the index of the least of some values (n,), the first one of those as good as it."""
+    least = values.min()
+    return int(np.argmax(values <= least + TIE * abs(least)))
 
 
 def least_gap(points: Array) -> float:
@@ -140,7 +161,7 @@ def _check_apart(scene: Scene, depots: Sequence[int], places: Array, tolerances:
             continue  # `pads` keeps these apart.
         gap = float(np.linalg.norm(places[one] - places[other]))
         short = scene.apart + float(tolerances[one] + tolerances[other]) - gap
-        if short > 0:
+        if short > TIE:
             first, last = sorted((depots[one], depots[other]))
             raise SceneError(
                 depot_field(last), scene.depots[last].tolist(),

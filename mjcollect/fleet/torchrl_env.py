@@ -29,7 +29,8 @@ class FleetEnv(EnvBase):
     action. `done`, `terminated` and `truncated` (N, 1) are the fleet's, see `fleet_ends`.
 
     Attributes:
-        simulations: what is wrapped. group_map: the names of the UAVs in the group "uavs".
+        simulations: what is wrapped.
+        group_map: the names of the UAVs in the group "uavs".
     """
 
     def __init__(self, simulations: Simulations, device: str = "cpu") -> None:

@@ -80,7 +80,8 @@ class Disturbances:
         """Prepares for `count` simulations.
 
         Args:
-            level: how strong disturbances are. vary: `level` is the greatest; of every kind, each
+            level: how strong disturbances are.
+            vary: `level` is the greatest; of every kind, each
                 episode draws a share of it, uniform in [0, 1], or with the chance SPARED none.
             calm: (N,) where nothing disturbs.
         """

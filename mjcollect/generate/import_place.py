@@ -8,6 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+try:
+    import shapely  # noqa: F401 - what is imported next needs it
+except ImportError:
+    raise ImportError(
+        "real places need Shapely, pyproj and osmium: pip install 'mjcollect[geo]'"
+    ) from None
+
 from mjcollect.generate.buildings import read_buildings
 from mjcollect.generate.footprints import EXCESS
 from mjcollect.generate.place import (

@@ -42,7 +42,8 @@ class TrainedPolicy:
     actor goes on learning, make a new policy.
 
     Attributes:
-        actor: TorchRL module from observation to action. observation: name of the observation.
+        actor: TorchRL module from observation to action.
+        observation: name of the observation.
     """
 
     actor: TensorDictSequential

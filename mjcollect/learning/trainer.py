@@ -51,8 +51,10 @@ class Trainer:
         """Builds the networks and the random streams of `seed`.
 
         Args:
-            simulations: `config.envs` simulations to learn in. evaluator: flies the policies.
-            device: device of the networks. weights: state of an actor to start from, if any.
+            simulations: `config.envs` simulations to learn in.
+            evaluator: flies the policies.
+            device: device of the networks.
+            weights: state of an actor to start from, if any.
             lessons: of a teacher, on that device, if there is one.
         """
         self.config, self.seed, self.device = config, seed, device

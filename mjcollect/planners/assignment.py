@@ -5,7 +5,8 @@ and columns first, then the items'; nothing is flown between depots.
 
 Up to MAX_EXACT items the best sharing is found by dynamic programming over sets of items. Beyond,
 PyVRP (Wouda, Lan and Kool 2024) looks for tours that all end within a time, which is bisected:
-it has no objective of its own for the last tour. LKH orders each tour at the end.
+it has no objective of its own for the last tour. LKH orders each tour at the end, or the local
+search where elkai is not installed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ from numpy.typing import NDArray
 
 from mjcollect.geometry.compiled import Array, Indices, compiled
 from mjcollect.scene.depots import depot_of
-from mjcollect.scene.order import MAX_EXACT, TourError, lkh_order, way_back, ways_through
+from mjcollect.scene.shortest_tour import (
+    MAX_EXACT,
+    TourError,
+    short_order,
+    way_back,
+    ways_through,
+)
 
 FINE = 1e-3  # The bisection ends when the time is known to this share.
 ITERATIONS = 400  # A search for tours within a time ends after so many iterations of PyVRP.
@@ -46,7 +53,7 @@ def assign(cost: Array, uavs: int, *, seed: int = 0, depots: int = 1) -> Tours:
     if len(cost) - depots <= MAX_EXACT:
         tours = exact_assignment(cost, uavs, depots)
     elif uavs == 1:
-        tours = [tuple(lkh_order(depot_cost(cost, 0, depots)))]
+        tours = [tuple(short_order(depot_cost(cost, 0, depots), seed=seed))]
     else:
         tours = search_assignment(cost, uavs, seed=seed, depots=depots)
     own = [
@@ -143,16 +150,19 @@ def share_sets(closed: Array, share: Indices) -> None:
 
 
 def _ordered(cost: Array, tour: tuple[int, ...]) -> tuple[int, ...]:
-    """Returns a tour in LKH's order, or as it is if that is no shorter; `cost` has one depot."""
+    """Returns a tour in the order of `short_order`, or as it is if that is no shorter.
+
+    `cost` has one depot.
+    """
     nodes = np.array([0, *(item + 1 for item in tour)])
-    other = tuple(tour[index] for index in lkh_order(cost[np.ix_(nodes, nodes)]))
+    other = tuple(tour[index] for index in short_order(cost[np.ix_(nodes, nodes)]))
     return min(tour, other, key=lambda each: tour_time(cost, each))
 
 
 def search_assignment(
     cost: Array, uavs: int, *, seed: int = 0, depots: int = 1
 ) -> list[tuple[int, ...]]:
-    """Returns tours of which the last ends as early as PyVRP can find, each in LKH's order.
+    """Returns tours of which the last ends as early as PyVRP can find, each in a short order.
 
     There are M, tour m from depot m mod D; `cost` is as in `assign`.
 
@@ -193,7 +203,7 @@ def _within(
         from pyvrp.stop import FirstFeasible, MaxIterations, MultipleCriteria
     except ImportError:
         raise TourError(
-            f"uavs: more than {MAX_EXACT} items need PyVRP: pip install 'mjcollect[fleet]'"
+            f"uavs: more than {MAX_EXACT} items need PyVRP: pip install pyvrp"
         ) from None
     model = pyvrp.Model()
     places = [model.add_location(0, 0) for _ in weights]

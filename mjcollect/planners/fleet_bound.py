@@ -7,8 +7,8 @@ import numpy as np
 from mjcollect.geometry.compiled import Array
 from mjcollect.planners.assignment import exact_assignment, farthest, makespan
 from mjcollect.scene.bounds import EXACT, leg_bounds, spanning_tree
-from mjcollect.scene.order import MAX_EXACT
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.shortest_tour import MAX_EXACT
 
 FORESTS = "forest-subgradient"
 _ROUNDS = 300  # The subgradient method takes so many rounds.

@@ -49,10 +49,12 @@ class _SegmentView:
     """Holds what a decision knows of the current segment.
 
     Attributes:
-        q, v: (3,) present state (m, m/s). way: (P, 3) shortest free path from q to the target (m).
+        q, v: (3,) present state (m, m/s).
+        way: (P, 3) shortest free path from q to the target (m).
         centre, radius: (3,) and float, the ball in which to stop (m).
         next_goal: (3,) point towards which the next segment leads (m).
-        least: number of slots below which no motion arrives. likely: estimate along the path.
+        least: number of slots below which no motion arrives.
+        likely: estimate along the path.
     """
 
     q: Array
@@ -143,7 +145,9 @@ class Mpc:
         Call it with the states in the order of flight: each plan starts from the last one.
 
         Args:
-            q, v: (3,) present position (m) and velocity (m/s).
+            q: (3,) present position (m).
+            v: (3,) present velocity (m/s).
+            target: number of the target, from 0.
         """
         self.counts["decisions"] += 1
         last = self._plan if target == self._target else None
@@ -302,7 +306,9 @@ class Mpc:
         """Returns the least number of slots to rest within `tolerance` (m) of a point on a line.
 
         Args:
-            distance: to the point (m). direction: (3,) towards it. v: (3,) velocity (m/s).
+            distance: to the point (m).
+            direction: (3,) towards it.
+            v: (3,) velocity (m/s).
         """
         scene = self._scene
         closing = float(v @ direction) / max(float(np.linalg.norm(direction)), 1e-9)

@@ -18,6 +18,8 @@ SWING = np.array([0.0, -35.0, 35.0, -70.0, 70.0, -110.0, 110.0])
 RAISE = np.array([0.0, 20.0, 40.0, 58.0, -30.0])
 BEHIND_ELEVATION = 17.0  # From straight behind, the chase camera looks down by this (degrees).
 TILT = np.radians([-25.0, 78.0])  # The chase camera's elevation stays in this range (rad).
+BOOM = 24.0  # The chase camera follows a body of up to 0.5 m radius at this distance (m).
+CHASE_FOVY = 55.0  # The chase camera has this field of view (degrees).
 CLEARANCE = 0.9  # The line of sight keeps this share of the body's radius from boxes.
 KEYFRAME = 0.2  # The chase camera decides anew after this time (s of video).
 
@@ -99,6 +101,23 @@ def clear_distance(start: Array, direction: Array, boxes: Array, margin: float) 
     leave = np.maximum(one, two).min(axis=-1)
     hit = (enter <= leave) & (enter >= 0.0) & (gap > 0.0)
     return np.asarray(np.where(hit, enter, np.inf).min(axis=-1, initial=np.inf))
+
+
+def chase_views(
+    scene: Scene, x: Array, v: Array, goal: Array, fps: float, size: tuple[int, int]
+) -> tuple[list[View], Array]:
+    """Returns the chase camera in each frame and the headings (F,) in radians.
+
+    Args:
+        scene, x, v, goal, fps: as in `chase_eyes`. size: width and height in pixels.
+    """
+    boom = BOOM * max(1.0, scene.uav_radius / 0.5)
+    eyes, heading = chase_eyes(scene, x, v, goal, fps, boom)
+    eyes[:, 2] = np.maximum(eyes[:, 2], scene.bounds[0, 2] + 1.0)
+    reach = np.linalg.norm(eyes - x, axis=1, keepdims=True)
+    looks = x + 0.10 * reach * [0.0, 0.0, 1.0]
+    views = [View(e, k, CHASE_FOVY, size) for e, k in zip(eyes, looks, strict=True)]
+    return views, heading
 
 
 def chase_eyes(

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.geometry.polyline import interpolate, marks
-from mjcollect.render.camera import Picture, View, behind, chase_eyes, framing
+from mjcollect.render.camera import Picture, View, behind, chase_views, framing
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.labels import name_all
 from mjcollect.render.overlay import (
@@ -38,12 +38,11 @@ from mjcollect.scene.order import DEPOT, node_name
 
 # The first picture, each fade, the last picture and the notice of an arrival last so long (s).
 OPENING, FADE, HOLD, NOTICE = 1.3, 0.3, 1.8, 1.3
-BOOM = 24.0  # The chase camera follows a body of up to 0.5 m radius at this distance (m).
 SPACING = 3.0  # Points of the drawn path are so far apart (m);
 # of those of UAVs that are not followed, farther than this from the camera (m), one in so many.
 NEAR, COARSE = 120.0, 4
 TURN = 0.12  # A quadrotor turns in about this time (s); recorded commands jump from slot to slot.
-CHASE_FOVY, OVERVIEW_FOVY = 55.0, 30.0  # The cameras have these fields of view (degrees).
+OVERVIEW_FOVY = 30.0  # The camera on the whole scene has this field of view (degrees).
 OVERVIEW_DIRECTION = np.array([1.0, 0.82, -0.72])
 MOST_TOURS = 8  # The first card names the tours of up to so many UAVs.
 
@@ -163,18 +162,14 @@ class Film:
     def _chase_views(self) -> list[View]:
         """Returns the camera behind the lead in each frame; sets the headings of all too."""
         scene, lead, settings = self._scene, self._tracks[self._lead], self._settings
-        boom = BOOM * max(1.0, scene.uav_radius / 0.5)
-        eyes, heading = chase_eyes(scene, lead.x, lead.v, lead.goals, settings.fps, boom)
+        views, heading = chase_views(scene, lead.x, lead.v, lead.goals, settings.fps, settings.size)
         self._headings = [
             heading
             if track is lead
             else behind(scene, track.x, track.v, track.goals, settings.fps)[0]
             for track in self._tracks
         ]
-        eyes[:, 2] = np.maximum(eyes[:, 2], scene.bounds[0, 2] + 1.0)
-        reach = np.linalg.norm(eyes - lead.x, axis=1, keepdims=True)
-        looks = lead.x + 0.10 * reach * [0.0, 0.0, 1.0]
-        return [View(e, k, CHASE_FOVY, settings.size) for e, k in zip(eyes, looks, strict=True)]
+        return views
 
     # Parts of the film
 

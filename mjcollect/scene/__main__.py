@@ -10,7 +10,14 @@ from collections.abc import Sequence
 
 from mjcollect.scene.bounds import mission_bound
 from mjcollect.scene.file_format import SceneError
-from mjcollect.scene.order import TourError, order_label, plan_order, segments_table, tour_length
+from mjcollect.scene.order import (
+    ORDER_METHODS,
+    TourError,
+    order_label,
+    plan_order,
+    segments_table,
+    tour_length,
+)
 from mjcollect.scene.scene import Scene
 
 
@@ -23,9 +30,12 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("file", help="The scene file, or the name of a bundled scene.")
     parser.add_argument("--json", action="store_true", help="Print JSON instead of a table.")
-    order_help = "The visiting order: lkh (default), exact, random, given, or indices as in 2,0,1."
+    methods = ", ".join(ORDER_METHODS)
+    order_help = f"The visiting order: {methods}, or indices as in 2,0,1 (lkh)."
     parser.add_argument("--order", default="lkh", help=order_help)
-    parser.add_argument("--seed", type=int, default=0, help="The seed of a random order (0).")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="The seed of the orders search and random (0)."
+    )
     args = parser.parse_args(argv)
     try:
         scene = Scene.find(args.file)

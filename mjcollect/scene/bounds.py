@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mjcollect.geometry.compiled import Array, Indices
-from mjcollect.scene.order import DEPOT, MAX_EXACT, distances, held_karp
+from mjcollect.scene.order import DEPOT, distances
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.shortest_tour import MAX_EXACT, held_karp
 
 EXACT, RELAXED = "held-karp-exact", "one-tree-subgradient"
 _ROUNDS = 400  # The subgradient method takes at most so many rounds.

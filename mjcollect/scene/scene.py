@@ -9,10 +9,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from mjcollect.geometry.tree import Tree
 from mjcollect.geometry.turns import around, turned
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.depots import check_inside, check_moving_box, check_open, check_room
+from mjcollect.scene.fields import LIMIT_RANGE, array_of, limit_of, moving_box_of
 from mjcollect.scene.file_format import SceneError, parse, read_text
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.place import Origin
@@ -32,7 +31,6 @@ from mjcollect.scene.place import Origin
 MAX_EXTENT = 1e5  # metres; in wider bounds 1e-6 m is no longer resolved along a mission
 MAX_SUBSTEPS = 1000  # A slot has at most so many physics steps.
 RACER_STOP = 62.5  # metres in which the suite's own drone stops from 50 m/s with 20 m/s^2
-LIMIT_RANGE = (1e-6, 1e6)  # SI units; squares and sums of limits outside lose their digits
 POSITIVE_LIMITS = (
     "v_max",
     "a_max",
@@ -105,12 +103,12 @@ class Scene:
         if np.array_equal(self.yaw, np.zeros(np.shape(self.yaw))):
             object.__setattr__(self, "yaw", np.zeros(len(self.obstacles)))
         for name, shape in _SHAPES.items():
-            array = _array(name, getattr(self, name), shape)
+            array = array_of(name, getattr(self, name), shape)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         for limit in POSITIVE_LIMITS:
-            object.__setattr__(self, limit, _limit(limit, getattr(self, limit)))
-        object.__setattr__(self, "moving", tuple(map(_moving_box, self.moving)))
+            object.__setattr__(self, limit, limit_of(limit, getattr(self, limit)))
+        object.__setattr__(self, "moving", tuple(map(moving_box_of, self.moving)))
         object.__setattr__(self, "no_fly", tuple(sorted(set(self.no_fly))))
         object.__setattr__(self, "origin", Origin.of(self.origin))
         self._check()
@@ -359,43 +357,6 @@ class Scene:
         space = Space(self.bounds, self.tree, self.reach, self.depot, self.items, self.epsilon)
         more = f" and its clearance of {self.clearance} m" if self.clearance else ""
         check_open(space, self.more_depots, more)
-
-
-def _array(field: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Returns a fresh, finite array; -1 in `shape` stands for any length, also 0."""
-    try:
-        array = np.array(value, dtype=np.float64)
-        if array.size == 0 and shape[0] < 0:
-            array = array.reshape(0, *shape[1:])
-        if array.shape != tuple(
-            have if want < 0 else want for want, have in zip(shape, array.shape, strict=True)
-        ):
-            raise ValueError
-    except (TypeError, ValueError):
-        wanted = " x ".join("N" if size < 0 else str(size) for size in shape)
-        raise SceneError(field, value, f"needs {wanted} numbers") from None
-    if not np.all(np.isfinite(array)):
-        raise SceneError(field, array.tolist(), "must be finite numbers")
-    return array
-
-
-def _moving_box(value: object) -> MovingBox:
-    """Returns a moving box, which may be given as a document."""
-    if isinstance(value, MovingBox):
-        return value
-    if isinstance(value, Mapping):
-        try:
-            return MovingBox.from_dict(value)
-        except (TypeError, ValueError, KeyError):
-            pass
-    raise SceneError("moving", value, "needs boxes with size, path and speed")
-
-
-def _limit(field: str, value: object) -> float:
-    low, high = LIMIT_RANGE
-    if isinstance(value, bool) or not isinstance(value, Real) or not low <= float(value) <= high:
-        raise SceneError(field, value, f"must be a positive number from {low:g} to {high:g}")
-    return float(value)
 
 
 def _inside(point: Array, bounds: Array) -> bool:

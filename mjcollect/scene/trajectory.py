@@ -24,7 +24,10 @@ class Trajectory:
     v_{k+1} = v_k + a_k dt, x_{k+1} = x_k + v_{k+1} dt; straight between rows; last row a = 0.
 
     Attributes:
-        t: (R,) s. x: (R, 3) m. v: (R, 3) m/s. a: (R, 3) m/s^2.
+        t: (R,) s.
+        x: (R, 3) m.
+        v: (R, 3) m/s.
+        a: (R, 3) m/s^2.
     """
 
     t: Array
@@ -95,7 +98,8 @@ def shield_intervals(acted: Sequence[bool], slot: float) -> Array:
     """Returns the seconds (n, 2) from begin to end of each run of slots in which the shield acted.
 
     Args:
-        acted: whether it acted, for each slot from the first on. slot: a slot's duration in s.
+        acted: whether it acted, for each slot from the first on.
+        slot: a slot's duration in s.
     """
     edges = np.diff(np.asarray(acted, dtype=int), prepend=0, append=0)
     return np.asarray(np.flatnonzero(edges).reshape(-1, 2) * slot)

@@ -24,7 +24,9 @@ class Encounter:
     """Describes two UAVs of a fleet that came too near to each other.
 
     Attributes:
-        t: time at which it begins (s). uavs: their numbers. value: least distance of their centres
+        t: time at which it begins (s).
+        uavs: their numbers.
+        value: least distance of their centres
             in this stretch of time (m). limit: what they must keep apart (m).
     """
 

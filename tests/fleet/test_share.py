@@ -10,7 +10,7 @@ from crowds import dense, gaps
 from traffic import hall
 
 from mjcollect.fleet.episode import courses
-from mjcollect.fleet.share import SHARES, STEEP, least_gap, pads, parts, spread
+from mjcollect.fleet.share import SHARES, STEEP, least_gap, most_places, pads, parts, spread
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.order import TourError
 from mjcollect.scene.scene import Scene
@@ -94,6 +94,7 @@ def test_clearance_and_a_wider_separation_count():
     ("kind", "uavs", "fields"),
     [
         ("open", 200, {}),
+        ("open", 70, {}),
         ("open", 2, {"separation": 10.0}),
         ("corner", 40, {}),
         ("open", 2, {"return_tolerance": 0.9}),
@@ -113,6 +114,15 @@ def test_too_many_are_refused(kind, uavs, fields):
         parts(scene, [(0,)] * uavs)
 
 
+def test_no_more_places_are_thought_possible_than_a_sphere_has_and_no_fewer_than_are_known():
+    """Corners of regular bodies in a sphere, with so many corners that far from each other."""
+    known = {2: 2.0, 4: np.sqrt(8 / 3), 6: np.sqrt(2), 8: np.sqrt(4 / 3), 12: 1.0515, 20: 0.7136}
+    for corners, gap in known.items():
+        assert corners <= most_places(3.0, 3.0 * gap) + 1e-9
+        assert most_places(3.0, 3.0 * gap) < 2.2 * corners
+    assert most_places(1.0, 2.1) == 1
+
+
 def test_points_are_spread_so_that_none_is_better_placed_elsewhere():
     points = np.random.default_rng(0).uniform(-5, 5, (300, 3))
     chosen = spread(points, 6)
@@ -123,8 +133,24 @@ def test_points_are_spread_so_that_none_is_better_placed_elsewhere():
         others = np.delete(chosen, k, axis=0)
         reached = np.linalg.norm(points[:, None] - others, axis=2)
         own = np.linalg.norm(chosen[k] - others, axis=1)
-        assert np.sum(reached**-STEEP, axis=1).min() >= np.sum(own**-STEEP) * (1 - 1e-6)
+        assert np.sum(np.maximum(reached, 1e-9) ** -STEEP, axis=1).min() >= np.sum(own**-STEEP) * (
+            1 - 1e-6
+        )
     assert spread(points[:5], 6) is None
+
+
+def test_rounding_does_not_choose_among_places_that_are_equally_good():
+    """Eight or more lie alike on a sphere, and rounding differs between machines."""
+    axis = np.linspace(-1.0, 1.0, 5)
+    grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
+    outer = grid[np.abs(grid).max(axis=1) == 1.0]
+    points = outer / np.linalg.norm(outer, axis=1, keepdims=True)
+    rng = np.random.default_rng(0)
+    for uavs in range(2, 9):
+        chosen = spread(points, uavs)
+        for _ in range(5):
+            rounded = points + rng.uniform(-1e-14, 1e-14, points.shape)
+            np.testing.assert_allclose(spread(rounded, uavs), chosen, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", DEPOTS)

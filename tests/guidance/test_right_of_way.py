@@ -10,10 +10,9 @@ from traffic import LawFlights, hall, street, wall
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.flight.world import World
-from mjcollect.guidance.right_of_way import (
+from mjcollect.guidance.right_of_way import LONGEST, PATIENCE
+from mjcollect.guidance.room import (
     CELLS,
-    LONGEST,
-    PATIENCE,
     ROOM,
     SPACINGS,
     gap_to_path,

@@ -1,4 +1,4 @@
-import builtins
+import sys
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -8,14 +8,16 @@ from hypothesis import strategies as st
 
 from mjcollect.scene.order import (
     ORDER_METHODS,
+    SHORTEST,
     TourError,
-    held_karp,
+    distances,
     order_label,
     plan_order,
     tour_length,
     tour_segments,
 )
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.shortest_tour import held_karp, search_order, short_order
 
 
 def random_scene(seed: int, count: int) -> Scene:
@@ -41,7 +43,7 @@ def test_tour_length_of_a_square():
     assert tour_length(scene, (1, 0, 2)) == pytest.approx(18 + 18 * np.sqrt(2))
 
 
-@pytest.mark.parametrize("method", ["lkh", "exact"])
+@pytest.mark.parametrize("method", SHORTEST)
 @pytest.mark.parametrize("count", range(1, 8))
 def test_shortest_tour_equals_brute_force(method, count):
     for seed in range(4):
@@ -72,26 +74,31 @@ def test_lkh_in_the_largest_cube_does_not_overflow():
     )
 
 
+def total(cost, order) -> float:
+    nodes = [0, *(item + 1 for item in order), 0]
+    return sum(cost[a, b] for a, b in pairwise(nodes))
+
+
 @settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 7))
-def test_held_karp_on_asymmetric_costs_equals_brute_force(seed, count):
+def test_on_asymmetric_costs_exact_and_search_equal_brute_force(seed, count):
     cost = np.random.default_rng(seed).uniform(0, 10, (count + 1, count + 1))
-
-    def total(order):
-        nodes = [0, *(item + 1 for item in order), 0]
-        return sum(cost[a, b] for a, b in pairwise(nodes))
-
+    least = min(total(cost, order) for order in permutations(range(count)))
     value, order = held_karp(cost)
     assert sorted(order) == list(range(count))
-    assert total(order) == pytest.approx(value)
-    assert value == pytest.approx(min(map(total, permutations(range(count)))))
+    assert total(cost, order) == pytest.approx(value)
+    assert value == pytest.approx(least)
+    searched = search_order(cost)
+    assert sorted(searched) == list(range(count))
+    assert total(cost, searched) == pytest.approx(least, rel=1e-5)
 
 
 @settings(deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 12))
 def test_direction_starts_at_the_smaller_end(seed, count):
     scene = random_scene(seed, count)
-    for method in ("lkh", "random") if count > 8 else ("lkh", "random", "exact"):
+    methods = ("lkh", "random", "search", "exact")
+    for method in methods[:3] if count > 8 else methods:
         order = plan_order(scene, method, seed=seed)
         assert order[0] <= order[-1]
         assert all(type(item) is int for item in order)
@@ -119,9 +126,27 @@ def test_lkh_is_deterministic_between_other_calls():
         assert plan_order(scene, "lkh") == first
 
 
-def test_lkh_prints_nothing(capfd):
-    plan_order(random_scene(0, 30), "lkh")
+@pytest.mark.parametrize("method", ["lkh", "search"])
+def test_orders_print_nothing(method, capfd):
+    plan_order(random_scene(0, 30), method)
     assert capfd.readouterr() == ("", "")
+
+
+def test_search_is_as_short_as_lkh_and_follows_its_seed():
+    for seed in range(2):
+        scene = random_scene(seed, 20)
+        found = plan_order(scene, "search", seed=seed)
+        assert found == plan_order(scene, "search", seed=seed)
+        assert tour_length(scene, found) <= 1.005 * tour_length(scene, plan_order(scene, "lkh"))
+    hurried = {tuple(search_order(distances(scene), seed=seed, iterations=1)) for seed in range(5)}
+    assert len(hurried) > 1
+
+
+def test_search_takes_two_hundred_items_and_more_iterations_shorten_the_tour():
+    cost = distances(random_scene(0, 200))
+    tours = [search_order(cost, iterations=iterations) for iterations in (1, 5)]
+    assert all(sorted(tour) == list(range(200)) for tour in tours)
+    assert total(cost, tours[1]) < total(cost, tours[0]) < total(cost, range(200)) / 2
 
 
 def test_cost_matrix_replaces_distance():
@@ -129,7 +154,7 @@ def test_cost_matrix_replaces_distance():
     cost = np.full((5, 5), 10.0)
     for a, b in [(0, 2), (2, 4), (4, 1), (1, 3), (3, 0)]:
         cost[a, b] = cost[b, a] = 1.0
-    for method in ("lkh", "exact"):
+    for method in SHORTEST:
         assert plan_order(scene, method, cost=cost) == (1, 3, 0, 2)
 
 
@@ -148,29 +173,32 @@ def test_bad_order_is_refused(text):
 
 
 def test_exact_refuses_thirteen_items():
-    with pytest.raises(TourError, match=r"13 items.*--order lkh"):
+    with pytest.raises(TourError, match=r"13 items.*--order lkh or search"):
         plan_order(random_scene(0, 13), "exact")
 
 
-def test_without_elkai_lkh_names_the_fix_and_exact_works(monkeypatch):
-    real = builtins.__import__
-
-    def no_elkai(name, *args, **kwargs):
-        if name == "elkai":
-            raise ImportError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", no_elkai)
+def test_without_elkai_lkh_names_the_fix_and_the_others_work(monkeypatch):
+    monkeypatch.setitem(sys.modules, "elkai", None)
     scene = random_scene(0, 5)
-    with pytest.raises(TourError, match="--order exact"):
+    with pytest.raises(TourError, match=r"--order search, or --order exact .up to 12 items"):
         plan_order(scene, "lkh")
-    assert len(plan_order(scene, "exact")) == 5
+    assert plan_order(scene, "exact") == plan_order(scene, "search")
+    cost = distances(scene)
+    assert short_order(cost) == search_order(cost)
     assert plan_order(random_scene(0, 2), "lkh") == (0, 1)
+
+
+def test_without_pyvrp_search_names_the_fix(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvrp", None)
+    with pytest.raises(TourError, match=r"order search: .*pip install pyvrp"):
+        plan_order(random_scene(0, 5), "search")
+    assert plan_order(random_scene(0, 1), "search") == (0,)
 
 
 def test_items_on_one_point_are_a_tour():
     scene = Scene("t", 0, [[0] * 3, [100] * 3], [50] * 3, [[50] * 3] * 5, [])
-    assert sorted(plan_order(scene, "lkh")) == [0, 1, 2, 3, 4]
+    for method in SHORTEST:
+        assert sorted(plan_order(scene, method)) == [0, 1, 2, 3, 4]
 
 
 def test_legs_and_labels():

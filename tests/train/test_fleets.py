@@ -118,7 +118,8 @@ def test_a_fleet_flies_by_the_law(flown, capsys):
     places = [Scene.load(flown / "uavs" / str(uav) / "scene.json").depot for uav in (0, 1)]
     np.testing.assert_array_equal([track.x[0] for track in tracks_of(flown)], places)
     assert {path.name for path in flown.iterdir()} == {
-        "command.txt", "config.json", "fleet.json", "report.md", "scene.json", "uavs",
+        "command.txt", "config.json", "fleet.json", "replay.html", "report.md", "scene.json",
+        "uavs",
     }  # fmt: skip
     report = (flown / "report.md").read_text()
     assert f"**{result['makespan']:.1f} s**" in report

@@ -18,10 +18,10 @@ from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
 from mjcollect.verify import verify
 from train.fly import main as fly
-from train.fly import scene_difference
 from train.jobs.workers import Job
 from train.mission import _from_policy, _keep_best
 from train.mission import main as mission
+from train.support.finished_run import scene_difference
 from train.support.run_folder import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
@@ -41,7 +41,7 @@ SEGMENT_KEYS = {
 FILES = {
     "config.json", "command.txt", "scene.json", "mission.json", "trajectory.csv", "path_3d.png",
     "path_top.png", "learning.png", "speed.png", "segments", "report.md",
-    "shield.csv",
+    "shield.csv", "replay.html",
 }  # fmt: skip
 
 

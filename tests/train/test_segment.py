@@ -27,6 +27,7 @@ TINY = (  # noqa: SIM905 - reads like the command line
 FILES = {
     "config.json", "command.txt", "scene.json", "segment.json", "trajectory.csv", "path_3d.png",
     "path_top.png", "learning.png", "metrics.csv", "policy.pt", "checkpoint", "shield.csv",
+    "replay.html",
 }  # fmt: skip
 KEYS = {
     "scene", "segment", "order", "from", "to", "time", "lower_bound", "ratio", "detour_time",

@@ -18,12 +18,18 @@ from mjcollect.render.fleet_figures import (
     plot_fleet_path_top,
     plot_schedule,
 )
-from mjcollect.scene.order import MAX_EXACT
 from mjcollect.scene.scene import Scene
+from mjcollect.scene.shortest_tour import MAX_EXACT, lkh_installed
 from mjcollect.scene.trajectory import shield_intervals
 from mjcollect.verify import least_gaps, verify_separation
 from train.support.markdown import markdown_table
-from train.support.mission_report import film, mission_result, write_mission
+from train.support.mission_report import (
+    film,
+    links,
+    mission_result,
+    write_mission,
+    write_replay,
+)
 from train.support.run_folder import RunFolder, versions
 
 COLUMNS = ("UAV", "items in order", "time (s)", "bound (s)", "shield", "made room", "ended")
@@ -49,7 +55,9 @@ class Sharing:
     @property
     def method(self) -> str:
         """Returns how the items were shared and ordered."""
-        return "exact" if len(self.scene.items) <= MAX_EXACT else "pyvrp, lkh"
+        if len(self.scene.items) <= MAX_EXACT:
+            return "exact"
+        return "pyvrp, lkh" if lkh_installed() else "pyvrp"
 
     def folder(self, folder: RunFolder, index: int) -> RunFolder:
         """Returns the folder of a UAV's mission in the fleet's."""
@@ -126,10 +134,14 @@ def write_fleet(
     folder.write_json("fleet.json", document)
 
 
-def finish_fleet(folder: RunFolder, *, video: bool, plots: bool, notes: Sequence[str] = ()) -> int:
-    """Films the flight if that is asked for, writes report.md; returns 0 for success, else 1."""
+def finish_fleet(
+    folder: RunFolder, *, video: bool, replay: bool, plots: bool, notes: Sequence[str] = ()
+) -> int:  # fmt: skip
+    """Makes report.md, replay and video if asked for; returns 0 for success, else 1."""
     result = folder.read_json("fleet.json")
     assert result is not None
+    if replay:
+        write_replay(folder)
     folder.write_text("report.md", fleet_report(folder.path, result, plots, notes))
     if video:
         film(folder.path / "fleet.mp4")
@@ -184,8 +196,7 @@ def fleet_report(folder: Path, result: dict[str, Any], plots: bool, notes: Seque
         "Made room: share in which the UAV left the way to another one.",
         "",
     ]
-    if (folder / "fleet.mp4").is_file():
-        lines += ["[Video](fleet.mp4)", ""]
+    lines += links(folder, "fleet.mp4")
     if plots:
         lines += [
             "![Flown paths](path_3d.png)",

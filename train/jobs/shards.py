@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjcollect.envs.batch import Simulations
-from mjcollect.envs.episode import Outcome
+from mjcollect.envs.outcome import Outcome
 from mjcollect.flight.contact import Slot
 from mjcollect.geometry.compiled import Array, Indices
 from train.jobs.processes import importing_pool

@@ -37,7 +37,8 @@ def arguments_of(
 
     A training that was stopped is gone on with.
     """
-    common = ["--scene", str(scene), "--order", ",".join(map(str, cell.order)), "--no-video"]
+    order = ",".join(map(str, cell.order))
+    common = ["--scene", str(scene), "--order", order, "--no-video", "--no-replay"]
     common += [] if keep else ["--no-plots"]
     if cell.planner == "policy":
         more = ["--seed", str(cell.seed), "--workers", "1", "--resume", "--policy", "none"]

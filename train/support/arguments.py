@@ -27,7 +27,7 @@ class TrainingArgs:
     scene: str = "scenario_1"
     """Scene file, or the name of a bundled scene."""
     order: str = "lkh"
-    """Visiting order: lkh, exact, random, given (file order), or a list such as 2,0,1."""
+    """Visiting order: lkh, exact, search, random, given (file order), or a list such as 2,0,1."""
     out: Path | None = None
     """Run folder; default: one below runs/ that is named after scene, program and seed."""
     seed: int = 0
@@ -40,6 +40,8 @@ class TrainingArgs:
     """Start anew in a folder that is not empty."""
     video: bool = True
     """Render segment.mp4 and mission.mp4; the segments' own only up to 10 items."""
+    replay: bool = True
+    """Write replay.html, which shows the flight in a browser."""
     plots: bool = True
     """Draw the plots, and fly the MPC in each segment to show what there is to beat."""
     checkpoint_every: int = 1000

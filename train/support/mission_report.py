@@ -16,6 +16,7 @@ from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.render.time_figures import plot_learning, plot_speed
 from mjcollect.render.video import render_in_child
+from mjcollect.replay import REPLAY_FILE, replay_in
 from mjcollect.scene.air import Air
 from mjcollect.scene.bounds import detour_bound, mission_bound, segment_bound
 from mjcollect.scene.order import node_name, tour_segments
@@ -141,16 +142,20 @@ def read_metrics(path: Path) -> list[dict[str, float]]:
 
 
 def finish(
-    folder: RunFolder, videos: Sequence[Path], plots: bool, notes: Sequence[str] = ()
-) -> int:
-    """Films what is asked for, writes report.md, prints the result; returns 0 for success, else 1.
+    folder: RunFolder, videos: Sequence[Path], plots: bool, notes: Sequence[str] = (), *,
+    replay: bool,
+) -> int:  # fmt: skip
+    """Makes what is asked for, report.md too, prints the result; returns 0 for success, else 1.
 
     Args:
         videos: the videos that there are to be, `mission.mp4` or those of segments.
         plots, notes: as in `report`.
+        replay: whether there is to be a replay.
     """
     result, scene = folder.read_json("mission.json"), Scene.load(folder.path / "scene.json")
     assert result is not None
+    if replay:
+        write_replay(folder)
     # The first comes before the videos, which take long and may be stopped; the last links to them.
     folder.write_text("report.md", report(folder, scene, result, plots, notes))
     film(*videos)
@@ -165,6 +170,19 @@ def film(*videos: Path) -> None:
         if not video.is_file() and (reason := render_in_child(video.parent)):
             say(f"no video: {reason}")
             return
+
+
+def write_replay(folder: RunFolder) -> None:
+    """Writes the replay of a finished run if there is none yet."""
+    if not (folder.path / REPLAY_FILE).is_file():
+        replay_in(folder.path)
+
+
+def links(folder: Path, video: str) -> list[str]:
+    """Returns the lines of a report that link to the replay and the video that a folder holds."""
+    shown = {"Replay": REPLAY_FILE, "Video": video}
+    found = [f"[{name}]({file})" for name, file in shown.items() if (folder / file).is_file()]
+    return [" · ".join(found), ""] if found else []
 
 
 def report(
@@ -204,8 +222,7 @@ def report(
         "which the command left no way to stop without touching anything, and was bent.",
         "",
     ]
-    if (folder.path / "mission.mp4").is_file():
-        lines += ["[Video](mission.mp4)", ""]
+    lines += links(folder.path, "mission.mp4")
     if plots:
         lines += [
             "![Flown path](path_3d.png)",
