@@ -29,6 +29,7 @@ from mjcollect.flight.disturbance import Disturbance, Disturbances
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator
 from mjcollect.learning.lessons import Lessons
+from mjcollect.learning.logs import LoggerName
 from mjcollect.learning.policy import NO_POLICY, TrainedPolicy, policy_digest, weights_file
 from mjcollect.learning.random_streams import stream, torch_seed
 from mjcollect.learning.trainer import Trainer, make_simulations
@@ -36,7 +37,7 @@ from train.jobs.lessons import School, give_lessons, load_lessons
 from train.jobs.segment_pool import build_all, draw_segment
 from train.jobs.shards import Crew, LocalCrew, RayCrew, ShardedSimulations
 from train.jobs.workers import connect_ray
-from train.support.arguments import check_device, check_least
+from train.support.arguments import check_device, check_least, check_logger
 from train.support.command_line import INTERRUPTED, progress_bar, run_program, say, stop_on_ctrl_c
 from train.support.generalist_report import finish, report
 from train.support.run_folder import RunError, RunFolder, default_folder
@@ -101,6 +102,8 @@ class Args:
     """Starts anew in a folder that is not empty."""
     checkpoint_every: int = 10_000
     """Writes a checkpoint every this many updates."""
+    logger: LoggerName = "none"
+    """Logs for other tools too, in logs/ of the run folder; wandb offline."""
     learn: Annotated[LearnConfig, tyro.conf.arg(name="")] = LEARN
     """Sets the learner."""
 
@@ -257,7 +260,7 @@ def train_generalist(args: Args) -> int:
     """
     _check(args)
     config = {"program": "train.generalist", **dataclasses.asdict(args)}
-    for field in ("out", "resume", "overwrite", "workers", "ray", "checkpoint_every"):
+    for field in ("out", "resume", "overwrite", "workers", "ray", "checkpoint_every", "logger"):
         del config[field]
     config["policy"] = None if args.policy == NO_POLICY else policy_digest(args.policy)
     folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
@@ -291,6 +294,7 @@ def _check(args: Args) -> None:
         RunError: a setting is out of range; the message names field, value and fix.
     """
     check_device(args.device)
+    check_logger(args.logger)
     check_least(
         args, seed=0, workers=1, segments=1, held_out=1, courses=1, rotate=1, checkpoint_every=1,
         lessons=0,
@@ -369,6 +373,7 @@ def _learn(generalist: Generalist, folder: RunFolder, args: Args) -> bool:
         ),
         resume=args.resume,
         checkpoint_every=args.checkpoint_every,
+        logger=args.logger,
         after_round=generalist.rotate,
     )
 

@@ -35,7 +35,13 @@ from train.jobs.workers import (
     run_jobs,
     settings_arguments,
 )
-from train.support.arguments import TrainingArgs, check_device, check_least, check_still
+from train.support.arguments import (
+    TrainingArgs,
+    check_device,
+    check_least,
+    check_logger,
+    check_still,
+)
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_display import MissionDisplay
 from train.support.mission_report import finish, mission_result, write_mission
@@ -226,6 +232,7 @@ def _learn_fleet(args: Args, folder: RunFolder, sharing: Sharing) -> bool:
 def _check(args: Args) -> None:
     check_least(args, seed=0, uavs=1, workers=1, retries=0, checkpoint_every=1)
     check_device(args.device)
+    check_logger(args.logger)
     if args.ray is not None and args.policy not in (NO_POLICY, SHIPPED):
         raise RunError(
             f"--policy: {args.policy}: the nodes of --ray have the policy `shipped` only; "
@@ -272,6 +279,7 @@ def _learn(args: Args, folder: RunFolder, scene: Scene, order: tuple[int, ...]) 
             "--order", ",".join(map(str, order)),
             "--seed", str(attempt_seed(args.seed, index, attempt)),
             "--device", args.device, "--checkpoint-every", str(args.checkpoint_every), "--resume",
+            "--logger", args.logger,
             "--video" if filmed else "--no-video", "--plots" if args.plots else "--no-plots",
             "--replay" if args.replay else "--no-replay",
             *settings_arguments(dataclasses.asdict(args.learn)),

@@ -26,7 +26,13 @@ from mjcollect.scene.bounds import detour_bound, segment_bound
 from mjcollect.scene.order import first_blocked, node_name, plan_order, tour_segments
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
-from train.support.arguments import TrainingArgs, check_device, check_least, check_still
+from train.support.arguments import (
+    TrainingArgs,
+    check_device,
+    check_least,
+    check_logger,
+    check_still,
+)
 from train.support.command_line import INTERRUPTED, run_program, say
 from train.support.mission_report import film, write_record, write_replay
 from train.support.presets import with_preset, with_slot
@@ -58,6 +64,7 @@ def train_segment(args: Args) -> int:
     """
     check_device(args.device)
     check_least(args, seed=0, checkpoint_every=1)
+    check_logger(args.logger)
     policy = None
     if args.policy != NO_POLICY:
         policy, learn = start_from(args.policy, args.learn)
@@ -113,6 +120,7 @@ def _run(
             lambda row: _progress(row, goal),
             resume=args.resume,
             checkpoint_every=args.checkpoint_every,
+            logger=args.logger,
         ):
             return INTERRUPTED
         _finish(trainer, course, folder, order, index, args.plots)

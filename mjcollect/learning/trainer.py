@@ -34,7 +34,7 @@ class Trainer:
         last: last evaluation of the averaged actor, or of the actor where there is no average.
         rows: one dict per evaluation, the columns of metrics.csv.
         finished: whether nothing is left to do.
-        seconds: time spent (s), kept by the caller.
+        seconds, row_seconds: time spent (s), and that until each row; kept by the caller.
         endings, failures: (N,) episodes that ended in each simulation, and those without success.
     """
 
@@ -91,6 +91,7 @@ class Trainer:
         self.best_update = 0
         self.finished = False
         self.seconds = 0.0
+        self.row_seconds: list[float] = []
         self._returns = torch.zeros(config.envs, 1)
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=200)
         self._losses: list[torch.Tensor] = []
@@ -250,6 +251,7 @@ class Trainer:
             "endings": (self.endings.copy(), self.failures.copy()),
             "finished": self.finished,
             "seconds": self.seconds,
+            "row_seconds": list(self.row_seconds),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -273,6 +275,8 @@ class Trainer:
         self.endings, self.failures = (counts.copy() for counts in state["endings"])
         self.best_policy, self.best_update = state["best_policy"], state["best_update"]
         self.finished, self.seconds = state["finished"], state["seconds"]
+        # Checkpoints of earlier versions have none.
+        self.row_seconds = list(state.get("row_seconds", [math.nan] * len(self.rows)))
 
     def close(self) -> None:
         """Stops all simulation threads."""

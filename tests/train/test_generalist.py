@@ -90,10 +90,13 @@ def test_stopped_anywhere_it_goes_on_to_the_same_policy(finished, tmp_path, monk
     monkeypatch.setattr(generalist.Trainer, "run", counted)
     share_pool(finished, out, monkeypatch)
     monkeypatch.setattr(training_loop, "stop_on_ctrl_c", Pressed)
-    codes = [generalist.main(["--out", str(out), *TINY])]
-    codes += [generalist.main(["--out", str(out), "--resume", *TINY]) for _ in range(3)]
+    logged = [*TINY, "--logger", "csv"]
+    codes = [generalist.main(["--out", str(out), *logged])]
+    codes += [generalist.main(["--out", str(out), "--resume", *logged]) for _ in range(3)]
     assert codes == [130, 130, 130, 0]
     same(out, finished)
+    log = (out / "logs/csv/scalars/training/update.csv").read_text()
+    assert log == "16,16.0\n32,32.0\n48,48.0\n"
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
+from mjcollect.learning import logs
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.policy import NO_POLICY
 from mjcollect.scene.scene import Scene
@@ -45,6 +46,8 @@ class TrainingArgs:
     """Draw the plots, and fly the MPC in each segment to show what there is to beat."""
     checkpoint_every: int = 1000
     """Updates between checkpoints."""
+    logger: logs.LoggerName = "none"
+    """Log for other tools too, in logs/ of the run folder; wandb offline."""
     policy: Path = NO_POLICY
     """Policy to go on from: shipped, none (learn from nothing, as the paper does), or a file:
     policy.safetensors or policy.pt."""
@@ -95,3 +98,15 @@ def check_device(device: Device) -> None:
     """
     if device == "cuda" and not torch.cuda.is_available():
         raise RunError("--device: cuda: torch sees no CUDA device here; use --device cpu")
+
+
+def check_logger(logger: logs.LoggerName) -> None:
+    """Refuses a logger whose package is not installed.
+
+    Raises:
+        RunError: it is not; the message says how to get it.
+    """
+    try:
+        logs.check_logger(logger)
+    except ModuleNotFoundError as error:
+        raise RunError(f"--logger: {error}") from None

@@ -40,6 +40,7 @@ RUN_FILES = (
     "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
     "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
     "tracks.png", "air.json", "fleet.json", "fleet.mp4", "schedule.png", "uavs", "replay.html",
+    "logs",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # A folder holds these before config.json.
 SPACE = 1_000_000  # A run is not begun with fewer free bytes.
