@@ -176,11 +176,14 @@ class Stage:
 
     def _trail(self, view: View, trail: Array, colours: Array) -> None:
         first = max(0, len(trail) - 1 - MAX_TRAIL)
-        for a, b, colour in zip(trail[first:-1], trail[first + 1 :], colours[first:], strict=True):
-            # Thinner near the camera, which the path may pass closely; never under a pixel afar.
-            away = float(np.linalg.norm(a - view.eye))
-            radius = max(TRAIL_RADIUS * min(1.0, away / FULL_WIDTH), away / view.size[1])
-            self._capsule(a, b, radius, (*colour, 1.0), emission=self._glow)
+        trail, colours = trail[first:], colours[first:]
+        # Thinner near the camera, which the path may pass closely; never under a pixel afar.
+        away = np.linalg.norm(trail[:-1] - view.eye, axis=1)
+        radius = np.maximum(TRAIL_RADIUS * np.minimum(1.0, away / FULL_WIDTH), away / view.size[1])
+        for k in np.flatnonzero(view.may_see(trail, radius)):
+            self._capsule(
+                trail[k], trail[k + 1], float(radius[k]), (*colours[k], 1.0), emission=self._glow
+            )
 
     def _aim(self, view: View, option: mujoco.MjvOption | None) -> None:
         offset = view.target - view.eye
