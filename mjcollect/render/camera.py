@@ -46,6 +46,11 @@ class View:
         right = right / np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
 
+    @property
+    def pixel(self) -> float:
+        """Returns how many metres a pixel shows at a depth of 1 m, in the picture's middle."""
+        return 2 * float(np.tan(np.radians(self.fovy) / 2)) / self.size[1]
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """Returns pixels (..., 2), x right and y down, and depth (...) in m, negative if behind."""
         right, up, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)

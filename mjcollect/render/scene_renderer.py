@@ -92,7 +92,7 @@ class Stage:
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=geoms)
         self.close = self._renderer.close
 
-    def mark(self, reached: Sequence[int]) -> None:
+    def _mark(self, reached: Sequence[int]) -> None:
         """Colours items and depot for the moment when so many targets were reached, (M,)."""
         for node, site in self._sites.items():
             state, _ = self._fleet.state(node, reached)
@@ -103,12 +103,15 @@ class Stage:
                 rgba = (*np.multiply(fill, ITEM_SHADE / 255), alpha)
             self.model.site_rgba[site] = rgba
 
-    def still(self, view: View) -> Picture:
+    def still(self, view: View, reached: Sequence[int]) -> Picture:
         """Returns a picture (H, W, 3) uint8 of the whole scene, boxes see-through, no quadrotor.
+
+        Items and depot are coloured for the moment when so many targets were reached, (M,).
 
         Stills are few, so they are smoothed whatever the renderer's multisampling: the mean of
         four pictures from places less than a pixel apart.
         """
+        self._mark(reached)
         self.model.geom_rgba[self._boxes, 3] = 0.55
         mujoco.mj_forward(self.model, self.data)
         right, up, _ = view.axes
@@ -153,18 +156,19 @@ class Stage:
         mujoco.mj_camlight(self.model, self.data)
 
     def chase(
-        self, view: View, trails: Sequence[tuple[Array, Array]], goal: Array,
-        moving: Sequence[Array] = (),
+        self, view: View, reached: Sequence[int], trails: Sequence[tuple[Array, Array]],
+        goal: Array, moving: Sequence[Array] = (),
     ) -> Picture:  # fmt: skip
         """Returns a picture (H, W, 3) uint8 from the chase camera.
 
         Args:
-            view: the camera.
+            view: the camera. reached: (M,) the targets reached, for the colours of items and depot.
             trails: of each flight (N, 3) its path up to now, whose last MAX_TRAIL pieces are shown,
                 and (N - 1, 3) RGB in 0..1 of its pieces.
             goal: (3,) where the thin straight line from the lead leads.
             moving: (2, 3) corners of each moving box.
         """
+        self._mark(reached)
         self.model.geom_rgba[self._boxes, 3] = 1.0
         self._aim(view, None)
         for trail, colours in trails:
