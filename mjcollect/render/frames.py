@@ -80,6 +80,11 @@ class Film:
         """Returns the number of frames."""
         return self._opening + len(self._t) + self._hold
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Returns width and height of the pictures in pixels."""
+        return self._settings.size
+
     def frames(self, part: int = 0, parts: int = 1) -> Generator[Picture]:
         """Yields pictures (H, W, 3) uint8 in order, from a renderer that it opens and closes.
 

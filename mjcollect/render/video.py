@@ -25,6 +25,7 @@ from tqdm import tqdm
 from mjcollect.flight.disturbance import REST_SPEED as DISTURBED_REST
 from mjcollect.render.arrivals import REST_SPEED, progress
 from mjcollect.render.fleet import FleetProgress, load_fleet
+from mjcollect.render.parallel import WorkerError, choose_processes, render_frames
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.air import AIR_FILE, Air
 from mjcollect.scene.file_format import SceneError
@@ -41,7 +42,10 @@ class RenderError(RuntimeError):
     """Says that no video could be made; the message says why and what to do."""
 
 
-def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = None) -> Path:
+def render_run(
+    folder: str | os.PathLike[str], settings: VideoSettings | None = None,
+    processes: int | None = None,
+) -> Path:  # fmt: skip
     """Writes the video of a run folder, with a progress bar on stderr.
 
     It is fleet.mp4, segment.mp4 or mission.mp4.
@@ -52,6 +56,8 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
     Args:
         folder: of a finished run.
         settings: size, frame rate and the like; the run says speed and caption.
+        processes: that render side by side; by default one per core where the film is long enough.
+            The video is the same for any number.
 
     Returns:
         The video's path, whose file is replaced in one step when the video is complete.
@@ -94,7 +100,7 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
     path, part = folder / f"{kind}.mp4", folder / f".{kind}.part.mp4"
     try:
         with (
-            closing(film.frames()) as frames,
+            closing(render_frames(film, processes or choose_processes(len(film)))) as frames,
             mediapy.VideoWriter(
                 part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
                 ffmpeg_args="-preset veryfast -movflags +faststart",
@@ -104,6 +110,8 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
             for frame in bar:
                 writer.add_image(frame)
         os.replace(part, path)
+    except WorkerError as error:
+        raise RenderError(f"{path}: {_line(error)}; {LATER} {folder} --processes 1") from None
     except (OSError, ValueError) as error:
         raise RenderError(f"{path}: cannot be written ({_line(error)})") from None
     finally:
