@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from mjcollect.render.camera import Picture, View, behind, chase_eyes, framing
 from mjcollect.render.fleet import FleetProgress
+from mjcollect.render.flown_model import Pose
 from mjcollect.render.inset import Inset, inset_size
 from mjcollect.render.labels import Rectangle, name_all
 from mjcollect.render.overlay import (
@@ -29,7 +30,7 @@ from mjcollect.render.overlay import (
     pill,
     uav_colour,
 )
-from mjcollect.render.scene_renderer import Pose, Stage
+from mjcollect.render.scene_renderer import Stage
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.track import Track
 from mjcollect.scene.air import Air

@@ -7,7 +7,6 @@ must run without GL, use `render_in_child`.
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import subprocess
@@ -17,20 +16,12 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
-from mjcollect.flight.disturbance import REST_SPEED as DISTURBED_REST
-from mjcollect.render.arrivals import REST_SPEED, progress
-from mjcollect.render.fleet import FleetProgress, load_fleet
 from mjcollect.render.parallel import WorkerError, choose_processes, render_frames
+from mjcollect.render.run import one_line, read_run
 from mjcollect.render.settings import VideoSettings
-from mjcollect.scene.air import AIR_FILE, Air
-from mjcollect.scene.file_format import SceneError
-from mjcollect.scene.scene import Scene
-from mjcollect.scene.trajectory import SHIELD_FILE, Trajectory, load_shield
 
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
 LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).
@@ -66,38 +57,25 @@ def render_run(
         RenderError: the folder is not a readable run, or no video could be made.
     """
     folder = Path(folder)
-    kinds = ("fleet", "segment", "mission")
-    kind = next((k for k in kinds if (folder / f"{k}.json").is_file()), None)
-    if kind is None:
-        raise RenderError(
-            f"{folder}: holds neither segment.json nor mission.json nor fleet.json; name the "
-            "folder of a finished run (python -m train.segment or train.mission makes one)"
-        )
     try:
-        result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
-        air = Air.load(folder / AIR_FILE) if (folder / AIR_FILE).is_file() else None
-        fleet = load_fleet(folder) if kind == "fleet" else _single(folder, kind, result, air)
-        caption = _caption(result)
-    except (OSError, SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RenderError(
-            f"{folder}: not a readable run ({type(error).__name__}: {_line(error)}); "
-            "run the training or flight again"
-        ) from None
+        run = read_run(folder)
+    except ValueError as error:
+        raise RenderError(str(error)) from None
     import imageio_ffmpeg
     import mediapy
 
     try:
         mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     except RuntimeError as error:
-        raise RenderError(f"no ffmpeg ({_line(error)}); pip install imageio-ffmpeg") from None
+        raise RenderError(f"no ffmpeg ({one_line(error)}); pip install imageio-ffmpeg") from None
     _check_gl()
     from mjcollect.render.frames import Film
 
     # In quarters, so that the speed that is written on the frames is short.
-    speed = max(1.0, math.ceil(4 * fleet.duration / LONGEST) / 4)
-    settings = replace(settings or VideoSettings(), speed=speed, caption=caption)
-    film = Film(fleet, settings, air)
-    path, part = folder / f"{kind}.mp4", folder / f".{kind}.part.mp4"
+    speed = max(1.0, math.ceil(4 * run.fleet.duration / LONGEST) / 4)
+    settings = replace(settings or VideoSettings(), speed=speed, caption=run.caption)
+    film = Film(run.fleet, settings, run.air)
+    path, part = folder / f"{run.kind}.mp4", folder / f".{run.kind}.part.mp4"
     try:
         with (
             closing(render_frames(film, processes or choose_processes(len(film)))) as frames,
@@ -111,9 +89,9 @@ def render_run(
                 writer.add_image(frame)
         os.replace(part, path)
     except WorkerError as error:
-        raise RenderError(f"{path}: {_line(error)}; {LATER} {folder} --processes 1") from None
+        raise RenderError(f"{path}: {one_line(error)}; {LATER} {folder} --processes 1") from None
     except (OSError, ValueError) as error:
-        raise RenderError(f"{path}: cannot be written ({_line(error)})") from None
+        raise RenderError(f"{path}: cannot be written ({one_line(error)})") from None
     finally:
         part.unlink(missing_ok=True)
     return path
@@ -162,16 +140,6 @@ def gl_environment(environment: Mapping[str, str]) -> dict[str, str]:
     return chosen
 
 
-def _single(folder: Path, kind: str, result: dict[str, Any], air: Air | None) -> FleetProgress:
-    """Reads the one flight of a segment's or mission's run folder."""
-    scene = Scene.load(folder / "scene.json")
-    trajectory = Trajectory.load(folder / "trajectory.csv")
-    segment = result["segment"] if kind == "segment" else None
-    rest = REST_SPEED if air is None else DISTURBED_REST
-    flown = progress(scene, trajectory, list(result["order"]), segment, rest)
-    return FleetProgress.alone(flown, np.reshape(load_shield(folder / SHIELD_FILE), (-1, 2)))
-
-
 def _check_gl() -> None:
     """Opens and closes a small renderer: the film's own faults are no lack of GL."""
     try:
@@ -183,22 +151,6 @@ def _check_gl() -> None:
         backend = os.environ.get("MUJOCO_GL", "(unset)")
         raise RenderError(
             f"off-screen rendering with MUJOCO_GL={backend} failed "
-            f"({type(error).__name__}: {_line(error)}); set MUJOCO_GL=egl and "
+            f"({type(error).__name__}: {one_line(error)}); set MUJOCO_GL=egl and "
             "apt-get install libegl1 libgl1-mesa-dri"
         ) from None
-
-
-def _caption(result: dict[str, Any]) -> str | None:
-    """Returns the headline of an unsuccessful run; None if it succeeded."""
-    if result.get("success") or not result.get("violations"):
-        return None
-    # Those of a fleet are in order for each UAV only.
-    first = min(result["violations"], key=lambda each: float(each.get("t") or 0.0))
-    when = "" if first.get("t") is None else f" at {float(first['t']):.2f} s"
-    whose = first.get("uavs", [first["uav"]] if "uav" in first else [])
-    who = " and ".join(f"UAV {number}" for number in whose)
-    return f"{who}{': ' if who else ''}{str(first['kind']).upper()}{when}"
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200]
