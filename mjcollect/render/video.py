@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from mjcollect.render.parallel import WorkerError, choose_processes, render_frames
+from mjcollect.render.film.parallel import WorkerError, choose_processes, render_frames
 from mjcollect.render.run import one_line, read_run
 from mjcollect.render.settings import VideoSettings
 
@@ -69,7 +69,7 @@ def render_run(
     except RuntimeError as error:
         raise RenderError(f"no ffmpeg ({one_line(error)}); pip install imageio-ffmpeg") from None
     _check_gl()
-    from mjcollect.render.frames import Film
+    from mjcollect.render.film.frames import Film
 
     # In quarters, so that the speed that is written on the frames is short.
     speed = max(1.0, math.ceil(4 * run.fleet.duration / LONGEST) / 4)

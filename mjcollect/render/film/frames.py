@@ -11,9 +11,11 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from mjcollect.render.camera import Picture, View, behind, chase_eyes, framing
+from mjcollect.render.film.inset import Inset, inset_size
+from mjcollect.render.film.scene_renderer import Stage
+from mjcollect.render.film.track import Track
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.flown_model import Pose
-from mjcollect.render.inset import Inset, inset_size
 from mjcollect.render.labels import Rectangle, name_all
 from mjcollect.render.overlay import (
     COLLECTED,
@@ -30,9 +32,7 @@ from mjcollect.render.overlay import (
     pill,
     uav_colour,
 )
-from mjcollect.render.scene_renderer import Stage
 from mjcollect.render.settings import VideoSettings
-from mjcollect.render.track import Track
 from mjcollect.scene.air import Air
 from mjcollect.scene.order import DEPOT, node_name
 

@@ -22,7 +22,7 @@ import numpy as np
 
 if TYPE_CHECKING:  # It imports mujoco, which reads MUJOCO_GL and LP_NUM_THREADS then.
     from mjcollect.render.camera import Picture
-    from mjcollect.render.frames import Film
+    from mjcollect.render.film.frames import Film
 
 PLACES = 4  # A process may be so many frames ahead of the encoder.
 MOST = 8  # More processes than this would wait for the encoder.
