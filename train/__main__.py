@@ -15,6 +15,7 @@ PROGRAMS = {
     "scene": "mjcollect.scene.__main__",
     "generate": "mjcollect.generate.__main__",
     "render": "mjcollect.render.__main__",
+    "view": "mjcollect.view.__main__",
     "verify": "mjcollect.verify.__main__",
     "export": "mjcollect.export.__main__",
     "import": "mjcollect.generate.import_place",
