@@ -26,6 +26,8 @@ from mjcollect.render.settings import VideoSettings
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
 LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).
 BAR = "video"  # The progress bar's line begins with this.
+# A coarser search for motion than veryfast's takes two thirds of its time, for 5% more bytes.
+ENCODER = "-preset veryfast -x264-params subme=1:me=dia:weightp=0 -movflags +faststart"
 LATER = "python -m mjcollect.render --run"
 
 
@@ -81,7 +83,7 @@ def render_run(
             closing(render_frames(film, processes or choose_processes(len(film)))) as frames,
             mediapy.VideoWriter(
                 part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
-                ffmpeg_args="-preset veryfast -movflags +faststart",
+                ffmpeg_args=ENCODER,
             ) as writer,
         ):  # fmt: skip
             bar = tqdm(frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True)

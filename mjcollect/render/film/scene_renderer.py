@@ -14,6 +14,7 @@ import numpy as np
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.camera import Picture, View
+from mjcollect.render.film.track import MAX_TRAIL
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.flown_model import FlownModel
 from mjcollect.render.settings import VideoSettings
@@ -21,7 +22,7 @@ from mjcollect.render.settings import VideoSettings
 MOVING_RGBA = (0.50, 0.36, 0.86, 1.0)
 TRAIL_RADIUS = 0.09  # The flown path is a tube of this radius (m).
 FULL_WIDTH = 20.0  # Nearer to the camera than this (m), the path is thinner.
-MAX_TRAIL = 600  # Only so many pieces of a path are shown, to bound the renderer's memory.
+GROUND = 5  # The ground is in this group of geoms, which MuJoCo does not show by itself.
 LINE_RGBA = (1.0, 1.0, 1.0, 0.35)
 # A still is the mean of pictures from places so many pixels beside the camera's.
 SUBPIXELS = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
@@ -44,6 +45,11 @@ class Stage:
         solid = [i for i in range(len(scene.obstacles)) if i not in scene.no_fly]
         self._boxes = [self.model.geom(f"obstacle_{i}").id for i in solid]
         self._camera = mujoco.MjvCamera()
+        # The ground is drawn last, as most of it is behind something: hidden pixels cost little.
+        self.model.geom_group[self.model.geom("ground").id] = GROUND
+        self._ground = mujoco.MjvOption()
+        self._ground.geomgroup[:] = self._ground.sitegroup[:] = 0
+        self._ground.geomgroup[GROUND] = 1
         self._without_uav = mujoco.MjvOption()
         self._without_uav.geomgroup[2] = 0
         geoms = self.model.ngeom + self.model.nsite + MAX_TRAIL * count + 200
@@ -128,6 +134,10 @@ class Stage:
         self._camera.elevation = np.degrees(np.arcsin(offset[2] / distance))
         self.model.vis.global_.fovy = view.fovy
         self._renderer.update_scene(self.data, self._camera, option)
+        mujoco.mjv_addGeoms(
+            self.model, self.data, self._ground, mujoco.MjvPerturb(),
+            mujoco.mjtCatBit.mjCAT_ALL.value, self._renderer.scene,
+        )  # fmt: skip
 
     def _capsule(
         self, a: Array, b: Array, radius: float, rgba: Sequence[float], emission: float = 0.3

@@ -20,6 +20,7 @@ SPACING = 3.0  # Points of the drawn path are so far apart (m);
 # their colours differ by less than this (of 1).
 NEAR, COARSE = 120.0, 4
 UNSEEN, ALIKE = 0.25, 0.04
+MAX_TRAIL = 600  # Only so many pieces of a path are shown, to bound the renderer's memory.
 TURN = 0.12  # A quadrotor turns in about this time (s); recorded commands jump from slot to slot.
 
 
@@ -90,5 +91,7 @@ class Track:
         shown = np.ones(last + 1, dtype=bool)
         shown[: whole * COARSE] = np.repeat(fine, COARSE)
         shown[::COARSE] = True
+        if self._followed:
+            shown[: max(0, last + 1 - MAX_TRAIL)] = False
         kept = np.flatnonzero(shown)
         return np.concatenate([self.trail[kept], self.x[frame, None]]), self.colours[kept]
