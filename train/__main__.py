@@ -16,6 +16,7 @@ PROGRAMS = {
     "generate": "mjcollect.generate.__main__",
     "render": "mjcollect.render.__main__",
     "replay": "mjcollect.replay.__main__",
+    "view": "mjcollect.view.__main__",
     "verify": "mjcollect.verify.__main__",
     "export": "mjcollect.export.__main__",
     "import": "mjcollect.generate.import_place",

@@ -17,7 +17,7 @@ from mjcollect.scene.order import DEPOT
 from mjcollect.scene.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from mjcollect.render.scene_renderer import Stage
+    from mjcollect.render.film.scene_renderer import Stage
 
 WINDOW = 25  # The camera is smoothed over so many slots.
 
@@ -58,8 +58,8 @@ class Pictures:
         Raises:
             RenderError: there is no GL; the message says how to get it.
         """
+        from mjcollect.render.flown_model import Pose
         from mjcollect.render.overlay import speed_colours
-        from mjcollect.render.scene_renderer import Pose
 
         stage, scene = self._open(), self._course.scene
         x, v = (np.array(part) for part in zip(*self._flown[index], strict=True))
@@ -69,15 +69,14 @@ class Pictures:
         goals = np.tile(goal, (len(x[last]), 1))
         views, heading = chase_views(scene, x[last], v[last], goals, 1 / scene.slot, self._size)
         a = (v[-1] - v[-2]) / scene.slot if len(v) > 1 else np.zeros(3)
-        stage.mark((reached,))
         stage.place([Pose(x[-1], a, float(heading[-1]))], len(x))
         colours = speed_colours(np.linalg.norm(v[1:], axis=1), scene.v_max)
-        return stage.chase(views[-1], [(x, colours)], goal).copy()
+        return stage.chase(views[-1], (reached,), [(x, colours)], goal).copy()
 
     def _open(self) -> Stage:
         if self._stage is None:
             check_gl()
-            from mjcollect.render.scene_renderer import Stage
+            from mjcollect.render.film.scene_renderer import Stage
 
             self._stage = Stage(_unflown(self._course), VideoSettings(self._size))
         return self._stage

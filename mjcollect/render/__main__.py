@@ -18,11 +18,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--run", required=True, metavar="DIR", help="folder of a finished run")
     smooth = "samples per pixel (0); 4 smooth edges, at more than twice the time in software"
     parser.add_argument("--samples", type=int, default=0, choices=(0, 2, 4, 8), help=smooth)
+    several = "processes that render side by side; by default one per core, at most 8"
+    parser.add_argument("--processes", type=_positive, metavar="N", help=several)
     arguments = parser.parse_args(argv)
     os.environ.update(gl_environment(os.environ))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed
     try:
-        path = render_run(arguments.run, VideoSettings(samples=arguments.samples))
+        path = render_run(
+            arguments.run, VideoSettings(samples=arguments.samples), arguments.processes
+        )
     except RenderError as error:
         print(error, file=sys.stderr)
         return 1
@@ -30,6 +34,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     print(path)
     return 0
+
+
+def _positive(text: str) -> int:
+    if (number := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
+    return number
 
 
 if __name__ == "__main__":

@@ -48,6 +48,11 @@ class View:
         right = right / np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
 
+    @property
+    def pixel(self) -> float:
+        """Returns how many metres a pixel shows at a depth of 1 m, in the picture's middle."""
+        return 2 * float(np.tan(np.radians(self.fovy) / 2)) / self.size[1]
+
     def project(self, points: Array) -> tuple[Array, Array]:
         """Returns pixels (..., 2), x right and y down, and depth (...) in m, negative if behind."""
         right, up, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
@@ -55,6 +60,26 @@ class View:
         focal = height / 2 / np.tan(np.radians(self.fovy) / 2)
         scale = focal / np.where(np.abs(depth) < 1e-9, 1e-9, depth)
         return np.stack([width / 2 + right * scale, height / 2 - up * scale], axis=-1), depth
+
+    def may_see(self, points: Array, radius: Array) -> Array:
+        """Returns whether pieces of a path may be in the picture, (N - 1,).
+
+        A piece is not if it lies all on the outer side of one edge of the picture, or behind.
+
+        Args:
+            points: (N, 3) the path in metres. radius: (N - 1,) how thick its pieces are, in m.
+        """
+        right, up, depth = self.axes @ (points - self.eye).T
+        high = np.tan(np.radians(self.fovy) / 2)
+        wide = high * self.size[0] / self.size[1]
+        beyond = np.stack([
+            (np.abs(right) - wide * depth) / np.hypot(1.0, wide),
+            (np.abs(up) - high * depth) / np.hypot(1.0, high),
+        ])  # fmt: skip
+        sides = np.stack([np.sign(right), np.sign(up)])
+        out = (beyond[:, :-1] > radius) & (beyond[:, 1:] > radius) & (sides[:, :-1] == sides[:, 1:])
+        behind = (depth[:-1] < -radius) & (depth[1:] < -radius)
+        return ~(out.any(axis=0) | behind)
 
 
 def framing(

@@ -14,7 +14,7 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
-from mjcollect.render.camera import Picture, View
+from mjcollect.render.camera import View
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.order import DEPOT
@@ -115,9 +115,7 @@ def on_panel(colour: Colour) -> Colour:
 class Overview:
     """Draws flown paths and the nodes on a still of the whole scene, seen from one corner.
 
-    Stills are rendered once per state of the items, which keeps a video affordable. The inset in
-    the corner of a frame is the middle of a still, made small; on it the path is drawn once,
-    piece by piece.
+    Stills are rendered once per state of the items, which keeps a video affordable.
     """
 
     def __init__(
@@ -137,16 +135,6 @@ class Overview:
         self._alpha = [np.where(behind, 110, 255) for behind in hidden]
         self._nodes = scene.nodes
         self._node_pixels = view.project(np.array([scene.point(node) for node in self._nodes]))[0]
-        width, height = view.size
-        cut = min(width, round(height * 0.95))
-        self._cut = ((width - cut) // 2, 0, (width - cut) // 2 + cut, height)
-        small = round(0.27 * width)
-        self.inset_size = (small, round(small * height / cut))
-        self._zoom = cut / small
-        self._canvas = Image.new("RGB", view.size)
-        # Arrivals, and points of each path, that are on the canvas.
-        self._reached: tuple[int, ...] = ()
-        self._drawn = [0] * len(trails)
 
     @property
     def _order(self) -> list[int]:
@@ -156,8 +144,15 @@ class Overview:
 
     def paths(self, image: Image.Image, last: Sequence[int], width: float) -> None:
         """Draws each path up to the point `last` (M,), `width` pixels wide."""
+        self.paths_on(image, [0] * len(self._pixels), last, width)
+
+    def paths_on(
+        self, image: Image.Image, first: Sequence[int], last: Sequence[int], width: float
+    ) -> None:
+        """Draws each path from the point `first` (M,) on up to the point `last` (M,)."""
         for m in self._order:
-            self._path(image, m, 0, last[m], width)
+            if last[m] > first[m]:
+                self._path(image, m, first[m], last[m], width)
 
     def _path(self, image: Image.Image, m: int, first: int, last: int, width: float) -> None:
         """Draws the points first..last of flight `m`, fainter where a box hides it."""
@@ -191,24 +186,6 @@ class Overview:
             (u, v), below = self._view.project(np.stack([x, foot]))[0]
             draw.line([(u, v), tuple(below)], (*colour, 170), max(1, round(radius / 5)))
             draw.circle((u, v), radius, colour, WHITE, max(1, round(radius / 4)))
-
-    def inset(
-        self, still: Picture, reached: tuple[int, ...], last: Sequence[int], xs: Array,
-        moving: Sequence[Array] = (),
-    ) -> Image.Image:  # fmt: skip
-        """Returns the small picture: paths up to `last` (M,), quadrotors `xs` (M, 3), boxes."""
-        if reached != self._reached:
-            self._canvas = Image.fromarray(still)
-            self._reached, self._drawn = reached, [0] * len(last)
-        for m in self._order:
-            self._path(self._canvas, m, self._drawn[m], last[m], 2.0 * self._zoom)
-        self._drawn = list(last)
-        image = self._canvas.copy()
-        for box in moving:
-            draw_moving_box(image, self._view, box, 2.0 * self._zoom)
-        self.nodes(image, reached, 8.0 * self._zoom * self.inset_size[0] / 340)
-        self.uavs(image, xs, 6.0 * self._zoom * self.inset_size[0] / 340)
-        return image.crop(self._cut).resize(self.inset_size, Image.Resampling.BOX)
 
 
 def fitted(text: str, letters: ImageFont.FreeTypeFont, width: float) -> str:

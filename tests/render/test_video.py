@@ -199,7 +199,7 @@ def test_chase_camera_moves_smoothly_and_follows_from_behind_in_the_open() -> No
 
 
 def test_attitude_turns_thrust_along_the_acceleration() -> None:
-    from mjcollect.render.scene_renderer import attitude
+    from mjcollect.render.flown_model import attitude
 
     rotation = attitude(np.array([9.81, 0.0, 0.0]), 0.3)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)

@@ -1,6 +1,5 @@
 """Renders a scene off-screen by MuJoCo, for stills and for the chase view.
 
-Physics is not stepped: quadrotors are put where trajectories say, tilted along their thrust.
 Import this only with MUJOCO_GL set, as mujoco reads it when it is imported.
 """
 
@@ -9,49 +8,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations, product
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.camera import Picture, View
+from mjcollect.render.film.track import MAX_TRAIL
 from mjcollect.render.fleet import FleetProgress
-from mjcollect.render.overlay import node_look, uav_colour
+from mjcollect.render.flown_model import FlownModel
 from mjcollect.render.settings import VideoSettings
-from mjcollect.scene.mjcf import DEPOT_RGBA, ITEM_RGBA, build, site_name, uav_name
 
-# Nodes have these colours by `Progress.state`.
-NODES_RGBA = {
-    "target": (0.95, 0.25, 0.60, 1.0),
-    "collected": (0.0, 0.70, 0.50, 0.35),  # see-through: the flight goes on from inside it
-    "depot": DEPOT_RGBA,
-    "item": ITEM_RGBA,
-}
 MOVING_RGBA = (0.50, 0.36, 0.86, 1.0)
-ITEM_SHADE = 0.8  # Items shine, so that the colours of UAVs on them must be darker.
-COLLECTED_ALPHA = 0.5  # So opaque is an item in the colour of the UAV that collected it.
 TRAIL_RADIUS = 0.09  # The flown path is a tube of this radius (m).
 FULL_WIDTH = 20.0  # Nearer to the camera than this (m), the path is thinner.
-MAX_TRAIL = 600  # Only so many pieces of a path are shown, to bound the renderer's memory.
+GROUND = 5  # The ground is in this group of geoms, which MuJoCo does not show by itself.
 LINE_RGBA = (1.0, 1.0, 1.0, 0.35)
-GRAVITY = 9.81  # A hovering quadrotor pushes against this (m/s^2).
-ROTOR_STEP = 0.9  # Rotors turn by this angle (rad) from frame to frame, to look alive.
 # A still is the mean of pictures from places so many pixels beside the camera's.
 SUBPIXELS = ((-0.375, -0.125), (0.125, -0.375), (0.375, 0.125), (-0.125, 0.375))
-
-
-class Pose(NamedTuple):
-    """Holds where a quadrotor is in a picture.
-
-    Attributes:
-        x: (3,) its position in metres. a: (3,) its acceleration in m/s^2, which it tilts for.
-        heading: direction of its nose in radians.
-    """
-
-    x: Array
-    a: Array
-    heading: float
 
 
 class Stage:
@@ -60,31 +34,22 @@ class Stage:
     def __init__(self, fleet: FleetProgress, settings: VideoSettings) -> None:
         """Compiles the scene with a quadrotor for each flight, and opens the renderer."""
         scene, count = fleet.scene, len(fleet.flights)
-        root = build(scene, visual_scale=fleet.uav_scale, uavs=count)
-        self.model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+        flown = FlownModel(fleet)
+        self.model, self.data = flown.model, flown.data
+        self.mark, self.place = flown.mark, flown.place
         self.model.vis.quality.offsamples = settings.samples
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = settings.size
-        self.data = mujoco.MjData(self.model)
         self._scene, self._fleet = scene, fleet
         # Colours that shine by themselves are paler; those of UAVs are not to be mixed up.
         self._glow = 0.45 if fleet.is_alone else 0.15
-        names = [uav_name(number, count) for number in range(count)]
-        self._bodies = [self.model.body(f"{name}/uav").id for name in names]
-        self._qpos = [
-            [int(self.model.joint(f"{name}/{axis}").qposadr[0]) for axis in "xyz"] for name in names
-        ]
-        if not fleet.is_alone:
-            for m, name in enumerate(names):
-                self.model.geom(f"{name}/hull").rgba[:3] = np.divide(uav_colour(fleet, m), 255)
         solid = [i for i in range(len(scene.obstacles)) if i not in scene.no_fly]
         self._boxes = [self.model.geom(f"obstacle_{i}").id for i in solid]
-        self._sites = {node: self.model.site(site_name(node)).id for node in scene.nodes}
-        self._blades = [
-            self.model.geom(f"{name}/blade_{corner}").id
-            for name in names
-            for corner in ("fl", "fr", "bl", "br")
-        ]
         self._camera = mujoco.MjvCamera()
+        # The ground is drawn last, as most of it is behind something: hidden pixels cost little.
+        self.model.geom_group[self.model.geom("ground").id] = GROUND
+        self._ground = mujoco.MjvOption()
+        self._ground.geomgroup[:] = self._ground.sitegroup[:] = 0
+        self._ground.geomgroup[GROUND] = 1
         self._without_uav = mujoco.MjvOption()
         self._without_uav.geomgroup[2] = 0
         geoms = self.model.ngeom + self.model.nsite + MAX_TRAIL * count + 200
@@ -92,23 +57,15 @@ class Stage:
         self._renderer = mujoco.Renderer(self.model, height, width, max_geom=geoms)
         self.close = self._renderer.close
 
-    def mark(self, reached: Sequence[int]) -> None:
-        """Colours items and depot for the moment when so many targets were reached, (M,)."""
-        for node, site in self._sites.items():
-            state, _ = self._fleet.state(node, reached)
-            rgba: Sequence[float] = NODES_RGBA[state]
-            if not self._fleet.is_alone:
-                alpha = COLLECTED_ALPHA if state == "collected" else 1.0
-                fill = node_look(self._fleet, node, reached).fill
-                rgba = (*np.multiply(fill, ITEM_SHADE / 255), alpha)
-            self.model.site_rgba[site] = rgba
-
-    def still(self, view: View) -> Picture:
+    def still(self, view: View, reached: Sequence[int]) -> Picture:
         """Returns a picture (H, W, 3) uint8 of the whole scene, boxes see-through, no quadrotor.
+
+        Items and depot are coloured for the moment when so many targets were reached, (M,).
 
         Stills are few, so they are smoothed whatever the renderer's multisampling: the mean of
         four pictures from places less than a pixel apart.
         """
+        self.mark(reached)
         self.model.geom_rgba[self._boxes, 3] = 0.55
         mujoco.mj_forward(self.model, self.data)
         right, up, _ = view.axes
@@ -125,7 +82,7 @@ class Stage:
 
     def _add_frame(self) -> None:
         """Draws lines from items to the ground and along the bounds, for depth."""
-        for node in self._sites:
+        for node in self._scene.nodes:
             point = self._scene.point(node)
             foot = np.array([*point[:2], self._scene.bounds[0, 2]])
             self._capsule(point, foot, 1.0, (0.95, 0.95, 0.95, 0.7))
@@ -134,37 +91,20 @@ class Stage:
             if np.sum(a != b) == 1:  # an edge
                 self._capsule(a, b, 0.8, (0.30, 0.34, 0.38, 0.6))
 
-    def place(self, poses: Sequence[Pose], frame: int) -> None:
-        """Puts the quadrotors where they are in a frame.
-
-        Args:
-            poses: one for each flight.
-            frame: number of the frame, from which the rotors' angles follow.
-        """
-        for body, qpos, pose in zip(self._bodies, self._qpos, poses, strict=True):
-            rotation = attitude(pose.a, pose.heading)
-            # The slide joints turn with the body, so their positions are world ones turned back.
-            mujoco.mju_mat2Quat(self.model.body_quat[body], rotation.ravel())
-            self.data.qpos[qpos] = rotation.T @ pose.x
-        for index, blade in enumerate(self._blades):
-            turn = (1 if index % 4 in (0, 3) else -1) * ROTOR_STEP * frame / 2
-            self.model.geom_quat[blade] = (np.cos(turn), 0.0, 0.0, np.sin(turn))
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_camlight(self.model, self.data)
-
     def chase(
-        self, view: View, trails: Sequence[tuple[Array, Array]], goal: Array,
-        moving: Sequence[Array] = (),
+        self, view: View, reached: Sequence[int], trails: Sequence[tuple[Array, Array]],
+        goal: Array, moving: Sequence[Array] = (),
     ) -> Picture:  # fmt: skip
         """Returns a picture (H, W, 3) uint8 from the chase camera.
 
         Args:
-            view: the camera.
+            view: the camera. reached: (M,) the targets reached, for the colours of items and depot.
             trails: of each flight (N, 3) its path up to now, whose last MAX_TRAIL pieces are shown,
                 and (N - 1, 3) RGB in 0..1 of its pieces.
             goal: (3,) where the thin straight line from the lead leads.
             moving: (2, 3) corners of each moving box.
         """
+        self.mark(reached)
         self.model.geom_rgba[self._boxes, 3] = 1.0
         self._aim(view, None)
         for trail, colours in trails:
@@ -176,11 +116,14 @@ class Stage:
 
     def _trail(self, view: View, trail: Array, colours: Array) -> None:
         first = max(0, len(trail) - 1 - MAX_TRAIL)
-        for a, b, colour in zip(trail[first:-1], trail[first + 1 :], colours[first:], strict=True):
-            # Thinner near the camera, which the path may pass closely; never under a pixel afar.
-            away = float(np.linalg.norm(a - view.eye))
-            radius = max(TRAIL_RADIUS * min(1.0, away / FULL_WIDTH), away / view.size[1])
-            self._capsule(a, b, radius, (*colour, 1.0), emission=self._glow)
+        trail, colours = trail[first:], colours[first:]
+        # Thinner near the camera, which the path may pass closely; never under a pixel afar.
+        away = np.linalg.norm(trail[:-1] - view.eye, axis=1)
+        radius = np.maximum(TRAIL_RADIUS * np.minimum(1.0, away / FULL_WIDTH), away / view.size[1])
+        for k in np.flatnonzero(view.may_see(trail, radius)):
+            self._capsule(
+                trail[k], trail[k + 1], float(radius[k]), (*colours[k], 1.0), emission=self._glow
+            )
 
     def _aim(self, view: View, option: mujoco.MjvOption | None) -> None:
         offset = view.target - view.eye
@@ -191,6 +134,10 @@ class Stage:
         self._camera.elevation = np.degrees(np.arcsin(offset[2] / distance))
         self.model.vis.global_.fovy = view.fovy
         self._renderer.update_scene(self.data, self._camera, option)
+        mujoco.mjv_addGeoms(
+            self.model, self.data, self._ground, mujoco.MjvPerturb(),
+            mujoco.mjtCatBit.mjCAT_ALL.value, self._renderer.scene,
+        )  # fmt: skip
 
     def _capsule(
         self, a: Array, b: Array, radius: float, rgba: Sequence[float], emission: float = 0.3
@@ -215,18 +162,3 @@ class Stage:
         geom.objtype = mujoco.mjtObj.mjOBJ_UNKNOWN
         geom.emission = 0.15
         scene.ngeom += 1
-
-
-def attitude(a: Array, heading: float) -> Array:
-    """Returns the rotation (3, 3) of a quadrotor that accelerates by `a` (3,), in m/s^2.
-
-    Its thrust also carries it against gravity; its nose points to `heading` (rad) as far as the
-    tilt allows.
-    """
-    up = a + np.array([0.0, 0.0, GRAVITY])
-    # A point mass may brake its climb harder than gravity does; a picture on its back confuses.
-    up[2] = max(up[2], 0.6 * GRAVITY)
-    up = up / np.linalg.norm(up)
-    side = np.cross(up, [np.cos(heading), np.sin(heading), 0.0])
-    side = side / np.linalg.norm(side)
-    return np.stack([np.cross(side, up), side, up], axis=1)

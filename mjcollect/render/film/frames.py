@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Sequence
 from contextlib import closing
+from functools import partial
 
 import numpy as np
 from PIL import Image, ImageDraw
-from scipy.ndimage import gaussian_filter1d
 
-from mjcollect.geometry.compiled import Array
-from mjcollect.geometry.polyline import interpolate, marks
 from mjcollect.render.camera import Picture, View, behind, chase_views, framing
+from mjcollect.render.film.inset import Inset, inset_size
+from mjcollect.render.film.scene_renderer import Stage
+from mjcollect.render.film.track import Track
 from mjcollect.render.fleet import FleetProgress
-from mjcollect.render.labels import name_all
+from mjcollect.render.flown_model import Pose
+from mjcollect.render.labels import Rectangle, name_all
 from mjcollect.render.overlay import (
     COLLECTED,
     GREY,
@@ -28,80 +30,17 @@ from mjcollect.render.overlay import (
     draw_moving_box,
     on_panel,
     pill,
-    speed_colours,
     uav_colour,
 )
-from mjcollect.render.scene_renderer import Pose, Stage
 from mjcollect.render.settings import VideoSettings
 from mjcollect.scene.air import Air
 from mjcollect.scene.order import DEPOT, node_name
 
 # The first picture, each fade, the last picture and the notice of an arrival last so long (s).
 OPENING, FADE, HOLD, NOTICE = 1.3, 0.3, 1.8, 1.3
-SPACING = 3.0  # Points of the drawn path are so far apart (m);
-# of those of UAVs that are not followed, farther than this from the camera (m), one in so many.
-NEAR, COARSE = 120.0, 4
-TURN = 0.12  # A quadrotor turns in about this time (s); recorded commands jump from slot to slot.
 OVERVIEW_FOVY = 30.0  # The camera on the whole scene has this field of view (degrees).
 OVERVIEW_DIRECTION = np.array([1.0, 0.82, -0.72])
 MOST_TOURS = 8  # The first card names the tours of up to so many UAVs.
-
-
-class Track:
-    """Holds where one UAV is in each frame, and points along its path.
-
-    Attributes:
-        x, v, a: (F, 3) position, velocity and acceleration in m and s.
-        shields: (F,) whether the shield acts. reached: (F,) number of targets reached.
-        goals: (F, 3) what it flies to, in metres.
-        trail: (N, 3) points at equal distances along its path. trail_time: (N,) when it was there.
-    """
-
-    def __init__(self, fleet: FleetProgress, m: int, t: Array, span: float) -> None:
-        """Finds the state of flight `m` at times t (F,), between rows where needed.
-
-        Each frame stands for the `span` seconds up to the next one, so that no slot is lost.
-        """
-        done, shielded = fleet.flights[m], fleet.shielded[m]
-        flown, step = done.trajectory, done.scene.physics_step
-        # Who is home rests until the last one is.
-        rest = max(0, math.ceil((t[-1] - flown.t[-1]) / step - 1e-6))
-        rows = np.append(flown.t, flown.t[-1] + step * np.arange(1, rest + 1))
-        x = np.concatenate([flown.x, np.tile(flown.x[-1], (rest, 1))])
-        v, a = (np.concatenate([part, np.zeros((rest, 3))]) for part in (flown.v, flown.a))
-        smooth = gaussian_filter1d(a, TURN / step, axis=0, mode="nearest")
-        self.x, self.v, self.a = (interpolate(part, rows, t) for part in (x, v, smooth))
-        begin, end = (t[:, None] + off for off in (1e-9, span - 1e-9))
-        acts = (shielded[:, 0] < end) & (shielded[:, 1] > begin)
-        self.shields = np.asarray(acts.any(axis=1))
-        at = np.searchsorted(rows, t + 1e-9, side="right") - 1
-        self.reached = np.searchsorted(done.rows, at, side="right")
-        self.goals = np.array([done.scene.point(done.goal(count)) for count in self.reached])
-
-        travelled = marks(flown.x)
-        pieces = max(1, math.ceil(travelled[-1] / SPACING))
-        places = np.linspace(0.0, travelled[-1], pieces + 1)
-        self.trail = interpolate(flown.x, travelled, places)
-        self.trail_time = np.interp(places, travelled, flown.t)
-        speed = np.interp(places, travelled, np.linalg.norm(flown.v, axis=1))
-        self.colours = speed_colours(speed, fleet.scene.v_max)
-        if not fleet.is_alone:
-            self.colours = np.tile(np.divide(uav_colour(fleet, m), 255), (len(places), 1))
-
-    def point(self, time: float) -> int:
-        """Returns the last point of the trail that was passed at a time (s)."""
-        return int(np.searchsorted(self.trail_time, time, side="right")) - 1
-
-    def flown(self, frame: int, time: float, eye: Array | None) -> tuple[Array, Array]:
-        """Returns the path (P, 3) up to a frame, and RGB of its pieces.
-
-        If there is an eye (3,), it is coarse where it is far from it.
-        """
-        kept = np.arange(self.point(time) + 1)
-        if eye is not None:
-            near = np.linalg.norm(self.trail[kept] - eye, axis=1) < NEAR
-            kept = kept[near | (kept % COARSE == 0) | (kept == kept[-1])]
-        return np.concatenate([self.trail[kept], self.x[frame, None]]), self.colours[kept]
 
 
 class Film:
@@ -132,28 +71,46 @@ class Film:
         self._wide = framing(bounds, OVERVIEW_DIRECTION, OVERVIEW_FOVY, size, 0.92)
         trails = [(track.trail, track.colours) for track in self._tracks]
         self._overview = Overview(fleet, self._wide, trails)
+        self._blocked = self._blocked_by_plates()
+        self._last = np.stack([track.point(self._t) for track in self._tracks], axis=1)
+        reached = np.stack([track.reached for track in self._tracks], axis=1)
+        self._inset = partial(Inset, fleet, self._wide, trails, self._last, reached)
 
     def __len__(self) -> int:
         """Returns the number of frames."""
         return self._opening + len(self._t) + self._hold
 
-    def frames(self) -> Generator[Picture]:
-        """Yields pictures (H, W, 3) uint8 in order, from a renderer that it opens and closes."""
+    @property
+    def size(self) -> tuple[int, int]:
+        """Returns width and height of the pictures in pixels."""
+        return self._settings.size
+
+    def frames(self, part: int = 0, parts: int = 1) -> Generator[Picture]:
+        """Yields pictures (H, W, 3) uint8 in order, from a renderer that it opens and closes.
+
+        Args:
+            part, parts: only frames part, part + parts, part + 2 parts and so on are made,
+                and each is the same as among all frames.
+        """
         fade = FADE * self._settings.fps
+        first, last = self._opening, self._opening + len(self._t)  # of the flight; beyond it
         with closing(Stage(self._fleet, self._settings)) as stage:
             title = [(self._scene.name, WHITE), *self._plan()]
             start = [0] * len(self._tracks)
-            opening, flight = self._still(stage, start, start, title), self._flight(stage)
-            shown = next(flight)
-            late = np.arange(self._opening, dtype=np.float64) - (self._opening - fade)
-            yield from _fade(opening, shown, late / fade)
-            yield shown
-            for shown in flight:
+            opening = self._still(stage, start, start, title)
+            inset = self._inset()
+            shown = self._frame(stage, inset, 0)
+            for number in range(part, first, parts):
+                yield _blend(opening, shown, (number - (first - fade)) / fade)
+            for number in range(first + (part - first) % parts, last, parts):
+                shown = self._frame(stage, inset, number - first)
                 yield shown
+            shown = self._frame(stage, inset, len(self._t) - 1)
             ends = [len(track.trail) - 1 for track in self._tracks]
             reached = self._reached(len(self._t) - 1)
             result = self._still(stage, reached, ends, self._result(reached))
-            yield from _fade(shown, result, np.arange(1, self._hold + 1) / fade)
+            for number in range(last + (part - last) % parts, len(self), parts):
+                yield _blend(shown, result, (number - last + 1) / fade)
 
     def _reached(self, frame: int) -> tuple[int, ...]:
         """Returns how many targets each flight has reached in a frame, (M,)."""
@@ -179,8 +136,7 @@ class Film:
     ) -> Picture:  # fmt: skip
         """Returns the whole scene, full frame, with paths up to point `last` (M,) and a card."""
         unit = self._settings.unit
-        stage.mark(reached)
-        image = Image.fromarray(stage.still(self._wide))
+        image = Image.fromarray(stage.still(self._wide, reached))
         lead = self._tracks[self._lead]
         time = float(lead.trail_time[last[self._lead]])
         for box in self._moving:
@@ -192,45 +148,48 @@ class Film:
         self._hud.card(image, card)
         return np.asarray(image)
 
-    def _flight(self, stage: Stage) -> Generator[Picture]:
-        """Yields the frames from behind the lead, with instruments and the overview inset."""
+    def _frame(self, stage: Stage, inset: Inset, frame: int) -> Picture:
+        """Returns a frame from behind the lead, with instruments and the overview inset."""
+        view, lead = self._views[frame], self._tracks[self._lead]
+        reached, time = self._reached(frame), float(self._t[frame])
+        xs = np.array([track.x[frame] for track in self._tracks])
+        moving = [box.box_at(time) for box in self._moving]
+        small = inset.picture(frame, partial(stage.still, self._wide), xs, moving)
+        stage.place(self._poses(frame), frame)
+        points = self._last[frame].tolist()
+        trails = [
+            track.flown(frame, last, view) for track, last in zip(self._tracks, points, strict=True)
+        ]
+        image = Image.fromarray(stage.chase(view, reached, trails, lead.goals[frame], moving))
+        name_all(image, self._fleet, reached, view, xs, self._blocked)
+        draw = ImageDraw.Draw(image, "RGBA")
+        self._instruments(image, draw, frame, reached)
+        left, top = self._inset_place()
+        right, bottom = left + inset.size[0] + 2, top + inset.size[1] + 2
+        draw.rectangle((left - 3, top - 3, right, bottom), WHITE)
+        image.paste(small, (left, top))
+        return np.asarray(image)
+
+    def _inset_place(self) -> tuple[int, int]:
+        """Returns left and top of the inset in pixels."""
+        top = round(20 * self._settings.unit)
+        return self._settings.size[0] - inset_size(self._settings.size)[0] - top, top
+
+    def _blocked_by_plates(self) -> list[Rectangle]:
+        """Returns where instruments, inset and the like stand, which names keep out of."""
         (width, height), unit = self._settings.size, self._settings.unit
-        lead, alone = self._tracks[self._lead], self._fleet.is_alone
-        inset_width, inset_height = self._overview.inset_size
-        top = round(20 * unit)
-        left = width - inset_width - top
+        left, top = self._inset_place()
+        bottom = top + inset_size(self._settings.size)[1]
         panels = (226 if len(self._fleet.shielded[self._lead]) else 190) * unit
         blocked = [
-            (left - 4.0, 0.0, float(width), top + inset_height + 4.0),
+            (left - 4.0, 0.0, float(width), bottom + 4.0),
             (0.0, height - panels, (400 if self._air is None else 584) * unit, float(height)),
             (0.0, 0.0, 460 * unit, 110 * unit),
         ]
-        if not alone:
+        if not self._fleet.is_alone:
             plate = self._hud.fleet_place(len(self._tracks))[:2]
             blocked.append((*plate, float(width), float(height)))
-        shown: tuple[int, ...] = ()
-        for frame, view in enumerate(self._views):
-            reached, time = self._reached(frame), float(self._t[frame])
-            if reached != shown:
-                stage.mark(reached)
-                still, shown = stage.still(self._wide), reached
-            moving = [box.box_at(time) for box in self._moving]
-            stage.place(self._poses(frame), frame)
-            trails = [
-                track.flown(frame, time, None if track is lead else view.eye)
-                for track in self._tracks
-            ]
-            image = Image.fromarray(stage.chase(view, trails, lead.goals[frame], moving))
-            xs = np.array([track.x[frame] for track in self._tracks])
-            name_all(image, self._fleet, reached, view, xs, blocked)
-            draw = ImageDraw.Draw(image, "RGBA")
-            self._instruments(image, draw, frame, reached)
-            draw.rectangle(
-                (left - 3, top - 3, left + inset_width + 2, top + inset_height + 2), WHITE
-            )
-            last = [track.point(time) for track in self._tracks]
-            image.paste(self._overview.inset(still, reached, last, xs, moving), (left, top))
-            yield np.asarray(image)
+        return blocked
 
     def _poses(self, frame: int) -> list[Pose]:
         pairs = zip(self._tracks, self._headings, strict=True)
@@ -362,7 +321,7 @@ def _arrival(node: int) -> str:
     return "arrived at the depot" if node == DEPOT else f"{node_name(node)} collected"
 
 
-def _fade(one: Picture, two: Picture, shares: Array) -> Generator[Picture]:
-    """Blends picture one into picture two, by one share of picture two a frame."""
-    for share in np.clip(shares, 0.0, 1.0):
-        yield (one * (1.0 - share) + two * share).astype(np.uint8)
+def _blend(one: Picture, two: Picture, share: float) -> Picture:
+    """Blends picture one into picture two, of which the share is cut to 0..1."""
+    share = min(max(share, 0.0), 1.0)
+    return (one * (1.0 - share) + two * share).astype(np.uint8)

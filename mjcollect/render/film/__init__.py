@@ -1,0 +1,1 @@
+"""Makes the pictures of a film, one by one or in several processes."""

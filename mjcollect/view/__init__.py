@@ -1,0 +1,1 @@
+"""Shows scenes and recorded flights in MuJoCo's own viewer."""
