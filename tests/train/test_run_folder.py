@@ -1,6 +1,8 @@
+import errno
 import signal
 
 import pytest
+import safetensors.torch
 import torch
 
 from mjcollect.scene.scene import Scene
@@ -138,13 +140,14 @@ def test_a_full_disk_keeps_the_old_checkpoint(folder, monkeypatch):
     source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
     folder.save_checkpoint(net=source)
 
-    def fail(self, path):
-        raise RuntimeError("unable to resize file")
+    def fail(*_):
+        raise safetensors.SafetensorError("I/O error: No space left on device (os error 28)")
 
     with monkeypatch.context() as patch:
-        patch.setattr("train.support.run_folder.Checkpoint.save", fail)
-        with pytest.raises(OSError, match="unable to resize"):
+        patch.setattr("safetensors.torch.save_file", fail)
+        with pytest.raises(OSError, match=r"No space left on device: .*checkpoint") as caught:
             folder.save_checkpoint(net=target)
+    assert caught.value.errno == errno.ENOSPC
     assert folder.load_checkpoint(net=target)
     assert torch.equal(source.weight, target.weight)
 

@@ -14,6 +14,7 @@ import tyro
 from tqdm import tqdm
 
 from mjcollect.guidance.guidance import GuidanceError
+from mjcollect.learning.policy import PolicyError
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.order import TourError
 from train.support.run_folder import RunError
@@ -64,6 +65,9 @@ def run_program(
         return program(args)
     except (SceneError, TourError, GuidanceError, RunError) as error:
         say(f"error: {error}")
+        return BAD_INPUT
+    except PolicyError as error:
+        say(f"error: {error}; put it back as it was written, or train it again")
         return BAD_INPUT
     except KeyboardInterrupt:
         say(f"interrupted; {_again(args)}")

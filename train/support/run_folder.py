@@ -17,9 +17,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl.checkpoint import Checkpoint
-
 from mjcollect.scene.scene import Scene
+from train.support import checkpoint
 
 VERSIONED = (
     "mjcollect",
@@ -222,9 +221,9 @@ class RunFolder:
         for stale in self.path.glob(".*part-checkpoint*"):  # TorchRL's own staging folder too
             shutil.rmtree(stale, ignore_errors=True)
         try:
-            Checkpoint(**components).save(new)
-        except RuntimeError as error:  # torch's way to say that the disk is full
-            raise OSError(f"{current}: cannot be written: {error}") from error
+            checkpoint.save(new, components)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(current)) from error
         if current.exists():
             shutil.rmtree(old, ignore_errors=True)
             current.rename(old)
@@ -232,10 +231,20 @@ class RunFolder:
         shutil.rmtree(old, ignore_errors=True)
 
     def load_checkpoint(self, **components: Any) -> bool:
-        """Restores the components from the last whole checkpoint; False if there is none."""
+        """Restores the components from the last checkpoint; False if there is none.
+
+        Raises:
+            RunError: a file of it is damaged, or it would have to be unpickled.
+        """
         for name in ("checkpoint", "checkpoint.old"):
             if (self.path / name).is_dir():
-                Checkpoint(**components).load(self.path / name)
+                try:
+                    checkpoint.load(self.path / name, components)
+                except checkpoint.DamagedCheckpoint as error:
+                    raise RunError(
+                        f"--resume: {error}; put the file back as it was written, or start anew "
+                        "with --overwrite"
+                    ) from None
                 return True
         return False
 
