@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
+import signal
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,27 @@ ODD: tuple[Any, ...] = (
     [[0, 0, 0]], [1e308, 1e308, 1e308], {"x": {"y": {"z": []}}},
 )  # fmt: skip
 FACTORS = (0.0, -1.0, 1e-12, 1e-6, 1e-3, 0.5, 0.999999, 1.000001, 2.0, 10.0, 1e3, 1e6, 1e12)
+
+HANG = 10.0  # seconds of work after which something counts as hanging
+
+
+@contextlib.contextmanager
+def no_hang() -> Iterator[None]:
+    """Ends by an error what works for `HANG` seconds, or waits, on however busy a machine."""
+
+    def late(number: int, frame: Any) -> None:
+        raise TimeoutError(f"hangs for {HANG} s")
+
+    timers = ((signal.SIGPROF, signal.ITIMER_PROF, HANG), (signal.SIGALRM, signal.ITIMER_REAL, 120))
+    before = [signal.signal(number, late) for number, _, _ in timers]
+    for _, timer, seconds in timers:
+        signal.setitimer(timer, seconds)
+    try:
+        yield
+    finally:
+        for (number, timer, _), handler in zip(timers, before, strict=True):
+            signal.setitimer(timer, 0)
+            signal.signal(number, handler)
 
 
 def places(document: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
