@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 ODD: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1, 0.0, -0.0, 1e-9, 1e-300, 1e9, 1e300, -1e300, 10**30, 2**63, 2**63 - 1,
-    float("nan"), float("inf"), float("-inf"), "", "x", "1", "nan", "\u0000", "\ud800", "é" * 200,
-    [], [[]], {}, {"min": 0}, [1, 2], [1, 2, 3], [1, 2, 3, 4], ["a", "b", "c"], [0, 0, None],
+    None, True, False, 0, -1, 1, 0.0, -0.0, 1e-9, 1e-300, 1e9, 1e300, -1e300, 10**30, 2**63,
+    2**63 - 1, float("nan"), float("inf"), float("-inf"), "", "x", "1", "nan", "\u0000", "\ud800",
+    "é" * 200, [], [[]], {}, {"min": 0}, [1, 2],
+    [1, 2, 3], [1, 2, 3, 4], ["a", "b", "c"], [0, 0, None],
     [[0, 0, 0]], [1e308, 1e308, 1e308], {"x": {"y": {"z": []}}},
 )  # fmt: skip
 FACTORS = (0.0, -1.0, 1e-12, 1e-6, 1e-3, 0.5, 0.999999, 1.000001, 2.0, 10.0, 1e3, 1e6, 1e12)
@@ -157,7 +158,9 @@ class SceneFiles:
 
     def inserted(self, text: str) -> bytes:
         where = int(self.rng.integers(len(text)))
-        new = self.pick([b"\x00", b"\xff", b",", b"}", b"[", b'"', b"NaN", b"//", b"\r\n", b"9" * 400])
+        new = self.pick(
+            [b"\x00", b"\xff", b",", b"}", b"[", b'"', b"NaN", b"//", b"\r\n", b"9" * 400]
+        )
         return text.encode()[:where] + new + text.encode()[where:]
 
     def twice(self, text: str) -> bytes:

@@ -57,7 +57,13 @@ from train.support.disturbed_mission import (
 )
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
-from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
+from train.support.run_folder import (
+    RunError,
+    RunFolder,
+    as_written,
+    check_writable,
+    default_folder,
+)
 from train.support.starting_policy import check_size, start_from
 
 
@@ -361,7 +367,11 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
             f"--run: {args.run}: holds no mission.json; name the folder of a finished mission"
         )
     scene = Scene.load(args.run / "scene.json")
-    others = [run.segment(k).path / "scene.json" for k in range(len(result["segments"]))]
+    with as_written(args.run / "mission.json"):
+        segments, seed = len(result["segments"]), int(result["seed"])
+        method = str(result["order_method"])
+        order = plan_order(scene, ",".join(str(int(item)) for item in result["order"]))
+    others = [run.segment(k).path / "scene.json" for k in range(segments)]
     given = [("--scene", Scene.find(args.scene))] if args.scene is not None else []
     for name, other in given + [(str(path), Scene.load(path)) for path in others]:
         if difference := scene_difference(scene, other):
@@ -369,15 +379,13 @@ def _finished_run(args: Args) -> tuple[Scene, tuple[int, ...], str, int]:
                 f"{name}: differs from {args.run / 'scene.json'}, for which the run was trained: "
                 f"{difference}; train again for another scene"
             )
-    order, seed = tuple(result["order"]), result["seed"]
     if args.seed not in (None, seed):
         raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
     if args.order is not None and plan_order(scene, args.order, seed=seed) != order:
         raise RunError(
-            f"--order: {args.order}: the run's is {list(order)} ({result['order_method']}); leave "
-            "it out with --run"
+            f"--order: {args.order}: the run's is {list(order)} ({method}); leave it out with --run"
         )
-    return scene, order, result["order_method"], seed
+    return scene, order, method, seed
 
 
 def scene_difference(one: Scene, two: Scene) -> str | None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ import tempfile
 import time
 from dataclasses import dataclass, replace
 from multiprocessing import forkserver, resource_tracker
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +67,8 @@ class Args:
     """Sets the number of kills, shared out as `SHARES` says."""
     seed: int = 0
     """Sets the seed of the times."""
+    cases: tuple[str, ...] = tuple(SHARES)
+    """Names the kinds of runs."""
     longest: float = 0.5
     """Kills at a random time up to this share of the seconds of a run that is left alone."""
     fresh: int = 1
@@ -119,11 +123,12 @@ def living() -> list[int]:
     own = {os.getpid(), forkserver._forkserver._forkserver_pid}
     own.add(resource_tracker._resource_tracker._pid)
     found = []
-    for path in Path("/proc").glob("[0-9]*/environ"):
+    for path in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if f"{MARK}=".encode() in path.read_bytes() and int(path.parent.name) not in own:
-                if "Z" not in (path.parent / "stat").read_text().rpartition(")")[2].split()[0]:
-                    found.append(int(path.parent.name))
+            marked = f"{MARK}=".encode() in (path / "environ").read_bytes()
+            zombie = (path / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
+            if marked and not zombie and int(path.name) not in own:
+                found.append(int(path.name))
     return found
 
 
@@ -145,6 +150,11 @@ def content(out: Path) -> dict[str, bytes]:
                 data = json.dumps(timeless(json.loads(data))).encode()
             found[str(path.relative_to(out))] = data
     return found
+
+
+def differing(one: dict[str, bytes], other: dict[str, bytes]) -> list[str]:
+    """Returns the names of the files in which two runs differ."""
+    return sorted(name for name in {*one, *other} if one.get(name) != other.get(name))
 
 
 def timeless(document: Any) -> Any:
@@ -171,8 +181,8 @@ def run(campaign: Campaign, args: Args, kills: int, fresh: int) -> Row:
     begun = time.monotonic()
     again = undisturbed(replace(campaign, folder=campaign.folder / "again"))
     longest = args.longest * (time.monotonic() - begun)  # All that is compiled once is by now.
-    if again != wanted:
-        raise SystemExit(f"{campaign.name}: differs without a kill")
+    if other := differing(again, wanted):
+        raise SystemExit(f"{campaign.name}: differs without a kill: {other}")
     row: Row = {"case": campaign.name, "kills": 0, "runs": 0, "equal": 0, "orphans": 0}
     row |= {"by_python_m": fresh, "longest": longest, "refused": [], "unequal": []}
     out, done = campaign.folder / "0", False
@@ -193,8 +203,7 @@ def run(campaign: Campaign, args: Args, kills: int, fresh: int) -> Row:
         if code not in (0, 1):
             row["refused"].append(f"exit code {code}: {output.strip()[-500:]}")
         found, row["runs"] = content(out), row["runs"] + 1
-        names = {*found, *wanted}
-        other = sorted(name for name in names if found.get(name) != wanted.get(name))
+        other = differing(found, wanted)
         row["equal"] += not other
         row["unequal"] += other
         row["orphans"] += orphans()
@@ -208,23 +217,27 @@ def main(argv: list[str] | None = None) -> int:
     args = tyro.cli(Args, args=argv, prog="python -m benchmarks.reliability.kills")
     os.environ[MARK] = str(os.getpid())
     begun, rows = time.monotonic(), []
-    with tempfile.TemporaryDirectory() as place:
-        temporary = Path(place) / "temporary"
-        temporary.mkdir()
-        os.environ["TMPDIR"] = tempfile.tempdir = str(temporary)
-        scene = Path(place) / "hop.json"
-        Scene(
-            name="hop", seed=0, bounds=[[0, 0, 0], [150, 150, 30]], depot=[75, 20, 15],
-            items=[[75, 120, 15], [120, 60, 15]], obstacles=[[[85, 80, 0], [105, 100, 30]]],
-        ).save(scene)  # fmt: skip
-        for name, (program, flags) in CASES.items():
-            given = [] if name == "generalist" else ["--scene", str(scene)]
-            own = Campaign(name, program, [*given, *flags.split()], Path(place) / name)
-            share = round(args.kills * SHARES[name])
-            rows.append(run(own, args, share, min(args.fresh, share)))
-            print(rows[-1], flush=True)
-        mine = {Path(forkserver._forkserver._forkserver_address).parent}
-        left = sorted(path.name for path in temporary.iterdir() if path not in mine)
+    place = Path(tempfile.mkdtemp(prefix="kills-"))
+    Finalize(
+        None, shutil.rmtree, (place, True), exitpriority=-200
+    )  # after the fork server's folder
+    temporary = place / "temporary"
+    temporary.mkdir()
+    os.environ["TMPDIR"] = tempfile.tempdir = str(temporary)
+    scene = place / "hop.json"
+    Scene(
+        name="hop", seed=0, bounds=[[0, 0, 0], [150, 150, 30]], depot=[75, 20, 15],
+        items=[[75, 120, 15], [120, 60, 15]], obstacles=[[[85, 80, 0], [105, 100, 30]]],
+    ).save(scene)  # fmt: skip
+    for name in args.cases:
+        program, flags = CASES[name]
+        given = [] if name == "generalist" else ["--scene", str(scene)]
+        own = Campaign(name, program, [*given, *flags.split()], place / name)
+        share = round(args.kills * SHARES[name])
+        rows.append(run(own, args, share, min(args.fresh, share)))
+        print(rows[-1], flush=True)
+    mine = {Path(forkserver._forkserver._forkserver_address).parent}
+    left = sorted(path.name for path in temporary.iterdir() if path not in mine)
     heads = ("case", "kills", "runs", "equal", "orphans")
     print("\n".join(markdown_table(heads, [[str(row[h]) for h in heads] for row in rows])))
     print(f"left in the temporary folder: {left or 'nothing'}")

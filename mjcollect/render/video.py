@@ -34,6 +34,7 @@ from mjcollect.scene.trajectory import SHIELD_FILE, Trajectory, load_shield
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
 LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each such time (s).
 BAR = "video"  # The progress bar's line begins with this.
+PARENT = "MJCOLLECT_RENDER_FOR"  # names the process that a film is made for, and ends with
 LATER = "python -m mjcollect.render --run"
 
 
@@ -120,7 +121,7 @@ def render_in_child(run_dir: str | os.PathLike[str]) -> str | None:
     Returns:
         None on success, else a sentence: the reason and how to get the video later.
     """
-    environment = gl_environment(os.environ)
+    environment = {**gl_environment(os.environ), PARENT: str(os.getpid())}
     if not sys.stderr.isatty():
         environment["TQDM_MININTERVAL"] = LOG_SECONDS
     reason = ""

@@ -62,7 +62,7 @@ class Program:
         """Starts a module, in a session of its own: a Ctrl-C in the terminal does not reach it."""
         warm_up()
         context = multiprocessing.get_context("forkserver")
-        self._output = tempfile.TemporaryFile()  # It has no name, so nobody need remove it.
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - `result` closes it; it has no name
         handed = _Handed(self._output.fileno())
         self._process = context.Process(
             target=_run, args=(program, tuple(arguments), dict(os.environ), handed)
@@ -116,9 +116,7 @@ def ended(programs: Sequence[Program], timeout: float) -> list[Program]:
     return [sentinels[ready] for ready in wait(list(sentinels), timeout) if isinstance(ready, int)]
 
 
-def _run(
-    program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: _Handed
-) -> None:
+def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: _Handed) -> None:
     """Becomes the program, in the process forked from the server."""
     os.setsid()
     # A shell's background job ignores Ctrl-C, and what it starts would ignore `interrupt`.

@@ -145,12 +145,14 @@ def _encoded(value: Any, tensors: dict[str, torch.Tensor]) -> Any:
         return {"dict": pairs} if about is None else {"dict": pairs, "of": _encoded(about, tensors)}
     if isinstance(value, torch.device):
         return {"device": str(value)}
-    if isinstance(value, torch.Tensor | np.ndarray):
-        name, array = str(len(tensors)), isinstance(value, np.ndarray)
-        tensor = torch.from_numpy(value) if array else value.detach()
+    name = str(len(tensors))
+    if isinstance(value, np.ndarray):
+        tensors[name] = torch.from_numpy(value.copy())
+        return {"array": name}
+    if isinstance(value, torch.Tensor):
         # A copy of its own, since safetensors refuses tensors that share memory.
-        tensors[name] = tensor.cpu().clone(memory_format=torch.contiguous_format)
-        return {"array": name} if array else {"tensor": name, "on": str(value.device)}
+        tensors[name] = value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        return {"tensor": name, "on": str(value.device)}
     raise TypeError(f"checkpoint: {type(value).__name__}: cannot be saved without pickle")
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
@@ -73,8 +77,18 @@ def run_program(
         say(f"interrupted; {_again(args)}")
         return INTERRUPTED
     except OSError as error:  # a full disk, say: what was written is whole
-        say(f"error: {error}; when mended, {_again(args)}")
+        say(f"error: {error}{_disk(error)}; when mended, {_again(args)}")
         return 1
+
+
+def _disk(error: OSError) -> str:
+    """Returns, where a disk is full, which it is, and how many bytes are free there."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT) or error.filename is None:
+        return ""
+    place = Path(os.fsdecode(error.filename)).absolute()
+    while not place.is_mount():
+        place = place.parent
+    return f": the disk at {place} has {shutil.disk_usage(place).free} bytes left"
 
 
 def _again(args: object) -> str:
