@@ -141,10 +141,13 @@ def orphans(patience: float = 60.0) -> int:
 
 
 def content(out: Path) -> dict[str, bytes]:
-    """Returns the files of a finished run by name, without what holds wall-clock times."""
+    """Returns the files of a finished run by name, without what holds wall-clock times.
+
+    The replay buffer is left out too: the rows not written yet hold whatever was in the memory.
+    """
     found = {}
     for path in sorted(out.rglob("*")):
-        if path.is_file() and path.name not in UNEQUAL:
+        if path.is_file() and path.name not in UNEQUAL and not path.parent.name.endswith("-buffer"):
             data = path.read_bytes()
             if path.suffix == ".json":
                 data = json.dumps(timeless(json.loads(data))).encode()

@@ -152,6 +152,8 @@ class RunFolder:
         except OSError as error:
             raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
         self.lock()
+        for left in self.path.glob(".part-*"):  # by a process that was killed
+            remove(left)
         if overwrite:
             for target in [path for name in files for path in self.path.glob(name)]:
                 remove(target)
