@@ -338,7 +338,7 @@ def _train(
         eval_every=max(args.finetune // 10, 1),
         shield=shield,
     )
-    with tempfile.TemporaryDirectory() as guidance:
+    with tempfile.TemporaryDirectory(prefix=".part-", dir=folder.path) as guidance:
         course.save_guidance(Path(guidance))
         training = segment.Args(
             scene=str(folder.path / "scene.json"), order=",".join(map(str, order)), segment=index,

@@ -9,7 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import struct
 import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +23,11 @@ from mjcollect.guidance.guidance import Guidance
 from mjcollect.guidance.way import Way
 from mjcollect.scene.scene import Scene
 
+# Reading a file that is damaged, or is none, ends in one of these; nothing in it is unpickled.
+DAMAGED = (
+    OSError, KeyError, ValueError, EOFError, RuntimeError, TypeError, SyntaxError, OverflowError,
+    MemoryError, IndexError, AttributeError, struct.error, zlib.error, zipfile.BadZipFile,
+)  # fmt: skip
 ROOMS = ("geometry", "scene", "flight", "guidance")  # The code that builds guidance is in these.
 
 
@@ -69,5 +76,5 @@ def load(
             numbers = {name: saved[name] for name in Way._fields if name != "tree"}
             way = Way(tree=scene.tree, **numbers)
             return Guidance(scene, node, start, next_goal, built=(saved["path"], way))
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+    except DAMAGED:
         return None

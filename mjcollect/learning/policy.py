@@ -6,6 +6,10 @@ import hashlib
 import io
 import json
 import pickle
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,11 +31,17 @@ SHIPPED = Path("shipped")  # This stands for the package's own policy, wherever 
 DISTURBED = Path("disturbed")  # and this for its policy for disturbed air.
 OWN = {SHIPPED: "generalist.safetensors", DISTURBED: "disturbed.safetensors"}
 NO_POLICY = Path("none")  # This stands for learning from nothing.
+SUMS = "SHA256SUMS"  # A file of this name beside a policy has its digest, as sha256sum writes it.
 # Reading a file that is no policy ends in one of these.
-UNREADABLE = (
+_UNREADABLE = (
     OSError, EOFError, RuntimeError, ValueError, LookupError, AttributeError, TypeError,
-    StopIteration, pickle.UnpicklingError, safetensors.SafetensorError,
+    StopIteration, ArithmeticError, NotImplementedError, struct.error, zlib.error,
+    pickle.UnpicklingError, safetensors.SafetensorError, zipfile.BadZipFile,
 )  # fmt: skip
+
+
+class PolicyError(ValueError):
+    """Says that a file is no policy, or is damaged; the message names the file."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +108,8 @@ class TrainedPolicy:
             name: value.cpu().contiguous() for name, value in self.actor.state_dict().items()
         }
         if path.suffix == ".safetensors":
-            about = json.dumps({"observation": self.observation})
+            digest = _digest(weights, self.observation)
+            about = json.dumps({"observation": self.observation, "sha256": digest})
             path.write_bytes(safetensors.torch.save(weights, {"policy": about}))
             return
         # This goes through memory because torch.save raises no OSError on a full disk.
@@ -109,24 +120,66 @@ class TrainedPolicy:
 
     @classmethod
     def load(cls, path: Path) -> TrainedPolicy:
-        """Reads a file that `save` wrote.
+        """Reads a file that `save` wrote; nothing in it is run.
+
+        A damaged file is refused: .pt files have the checksums of a zip archive, .safetensors
+        files a digest, except old ones, for which `SHA256SUMS` beside them can vouch.
 
         Raises:
-            one of UNREADABLE: the file is no policy.
+            PolicyError: the file is no policy, or is damaged.
         """
-        if path.suffix == ".safetensors":
-            with safetensors.safe_open(path, "pt") as file:
-                weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                names = json.loads(file.metadata()["policy"])
-        else:
-            saved = torch.load(path, weights_only=True, map_location="cpu")
-            weights, names = saved["actor"], saved
-        first = next(value for name, value in weights.items() if name.endswith("0.weight"))
-        if names["observation"] not in OBSERVATIONS:
-            raise ValueError(f"observation: {names['observation']}: unknown")
-        actor = make_actor(first.shape[1], first.shape[0])
-        actor.load_state_dict(weights)
-        return cls(actor, names["observation"])
+        try:
+            content = path.read_bytes()
+            _check_sums(path, content)
+            read = _read_safetensors if path.suffix == ".safetensors" else _read_pt
+            weights, observation = read(content)
+            first = next(value for name, value in weights.items() if name.endswith("0.weight"))
+            if observation not in OBSERVATIONS:
+                raise ValueError(f"observation: {observation}: unknown")
+            actor = make_actor(first.shape[1], first.shape[0])
+            actor.load_state_dict(weights)
+        except _UNREADABLE as error:
+            why = " ".join(str(error).split())[:200] or type(error).__name__
+            raise PolicyError(f"{path}: holds no policy, or is damaged ({why})") from error
+        return cls(actor, observation)
+
+
+def _check_sums(path: Path, content: bytes) -> None:
+    """Raises a ValueError if `SHA256SUMS` beside a file gives it another digest."""
+    sums = path.with_name(SUMS)
+    if sums.is_file():
+        lines = sums.read_text(encoding="utf-8").splitlines()
+        given = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+        if path.name in given and hashlib.sha256(content).hexdigest() != given[path.name]:
+            raise ValueError(f"its digest is not that in {sums}")
+
+
+def _read_safetensors(content: bytes) -> tuple[dict[str, torch.Tensor], str]:
+    """Returns weights and observation of a .safetensors file."""
+    weights = safetensors.torch.load(content)
+    header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+    about = json.loads(header["__metadata__"]["policy"])
+    if "sha256" in about and about["sha256"] != _digest(weights, about["observation"]):
+        raise ValueError("its content does not have the digest that it names")
+    return weights, about["observation"]
+
+
+def _read_pt(content: bytes) -> tuple[dict[str, torch.Tensor], str]:
+    """Returns weights and observation of a .pt file; torch itself checks no checksum."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if damaged := archive.testzip():
+            raise ValueError(f"{damaged} in it has another checksum")
+    saved = torch.load(io.BytesIO(content), weights_only=True, map_location="cpu")
+    return saved["actor"], saved["observation"]
+
+
+def _digest(weights: Mapping[str, torch.Tensor], observation: str) -> str:
+    """Returns a digest of weights with their names, types and shapes, and of an observation."""
+    whole = hashlib.sha256(observation.encode())
+    for name, value in sorted(weights.items()):
+        whole.update(f"{name} {value.dtype} {list(value.shape)}".encode())
+        whole.update(value.contiguous().numpy().tobytes())
+    return whole.hexdigest()
 
 
 def weights_file(path: Path) -> Path:

@@ -6,10 +6,12 @@ import argparse
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Sequence
 
 from mjcollect.render.settings import VideoSettings
-from mjcollect.render.video import RenderError, gl_environment, render_run
+from mjcollect.render.video import PARENT, RenderError, gl_environment, render_run
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,6 +25,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     os.environ.update(gl_environment(os.environ))
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that temporary files are removed
+    if PARENT in os.environ:
+        threading.Thread(target=_end_with, args=(int(os.environ[PARENT]),), daemon=True).start()
     try:
         path = render_run(
             arguments.run, VideoSettings(samples=arguments.samples), arguments.processes
@@ -40,6 +44,13 @@ def _positive(text: str) -> int:
     if (number := int(text)) < 1:
         raise argparse.ArgumentTypeError(f"{text}: must be at least 1")
     return number
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process when its parent has ended, even by SIGKILL."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":

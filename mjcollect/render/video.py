@@ -28,6 +28,7 @@ LOG_SECONDS = "10"  # A log file gets a state of the progress bar after each suc
 BAR = "video"  # The progress bar's line begins with this.
 # A coarser search for motion than veryfast's takes two thirds of its time, for 5% more bytes.
 ENCODER = "-preset veryfast -x264-params subme=1:me=dia:weightp=0 -movflags +faststart"
+PARENT = "MJCOLLECT_RENDER_FOR"  # names the process that a film is made for, and ends with
 LATER = "python -m mjcollect.render --run"
 
 
@@ -108,7 +109,7 @@ def render_in_child(run_dir: str | os.PathLike[str]) -> str | None:
     Returns:
         None on success, else a sentence: the reason and how to get the video later.
     """
-    environment = gl_environment(os.environ)
+    environment = {**gl_environment(os.environ), PARENT: str(os.getpid())}
     if not sys.stderr.isatty():
         environment["TQDM_MININTERVAL"] = LOG_SECONDS
     reason = ""

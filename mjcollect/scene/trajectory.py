@@ -127,9 +127,13 @@ def _write(path: str | os.PathLike[str], header: str, rows: Array) -> None:
 
 def _read(path: str | os.PathLike[str], header: str) -> Array:
     """Returns the rows (R, C) of a CSV file with a header of C columns."""
-    lines = Path(path).read_text(encoding="ascii").splitlines()
-    cells = [line.split(",") for line in lines[1:]]
     width = len(header.split(","))
-    if lines[:1] != [header] or any(len(row) != width for row in cells):
-        raise ValueError(f"{path}: needs the header {header!r} and {width} numbers in every row")
-    return np.array(cells, dtype=float).reshape(-1, width)
+    try:
+        lines = Path(path).read_text(encoding="ascii").splitlines()
+        cells = [line.split(",") for line in lines[1:]]
+        if lines[:1] != [header] or any(len(row) != width for row in cells):
+            raise ValueError("another header, or a row of another length")
+        return np.array(cells, dtype=float).reshape(-1, width)
+    except ValueError as error:
+        wanted = f"needs the header {header!r} and {width} numbers in every row"
+        raise ValueError(f"{path}: {wanted} ({error})") from None

@@ -23,7 +23,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         fleet = (args.run / "fleet.json").is_file()
         found = verify_fleet(args.run) if fleet else verify_run(args.run)
-    except (OSError, SceneError, ValueError, KeyError) as error:
+    except (OSError, SceneError, ValueError, LookupError, TypeError, AttributeError) as error:
         print(f"error: {args.run}: holds no finished run ({error})", file=sys.stderr)
         return 2
     for each in found:

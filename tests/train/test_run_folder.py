@@ -1,6 +1,11 @@
+import errno
+import os
 import signal
+import subprocess
+import sys
 
 import pytest
+import safetensors.torch
 import torch
 
 from mjcollect.scene.scene import Scene
@@ -30,12 +35,14 @@ def test_check_touches_nothing(tmp_path):
 
 def test_a_full_folder_is_refused_and_left_alone(folder):
     before = (folder.path / "config.json").read_text()
+    folder.unlock()
     with pytest.raises(RunError, match=r"is not empty.*--resume.*--overwrite"):
         folder.check(CONFIG, resume=False, overwrite=False)
     assert (folder.path / "config.json").read_text() == before
 
 
 def test_resume_with_other_settings_names_the_difference(folder):
+    folder.unlock()
     folder.check(CONFIG, resume=True, overwrite=False)
     with pytest.raises(RunError, match="seed: 2 differs from 1"):
         folder.check(CONFIG | {"seed": 2}, resume=True, overwrite=False)
@@ -82,10 +89,40 @@ def test_overwrite_removes_only_a_run(folder, scene):
 
 
 def test_a_folder_in_use_is_refused(folder, scene):
-    with pytest.raises(RunError, match="another process"):
+    message = rf"--out: {folder.path}: another process \({os.getpid()}\) is writing to it"
+    with pytest.raises(RunError, match=message):
         RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
+    for how in ({"resume": True, "overwrite": False}, {"resume": False, "overwrite": True}):
+        with pytest.raises(RunError, match=message):
+            RunFolder(folder.path).check(CONFIG, **how)
     folder.unlock()
     RunFolder(folder.path).create(CONFIG, scene, overwrite=True)
+
+
+def test_a_killed_process_gives_its_folder_free(tmp_path):
+    code = f"""
+import time
+from train.support.run_folder import RunFolder
+folder = RunFolder({str(tmp_path)!r})
+folder.lock()
+print("locked", flush=True)
+time.sleep(600)
+"""
+    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert holder.stdout.readline() == b"locked\n"
+    with pytest.raises(RunError, match=rf"another process \({holder.pid}\)"):
+        RunFolder(tmp_path).lock()
+    holder.kill()
+    holder.wait()
+    RunFolder(tmp_path).lock()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "5", "\x00", "[" * 100_000])
+def test_a_damaged_result_is_refused_with_its_name(folder, text):
+    for name in ("config.json", "segment.json"):
+        (folder.path / name).write_text(text)
+        with pytest.raises(RunError, match=str(folder.path / name)):
+            folder.read_json(name)
 
 
 def test_a_failed_write_leaves_the_old_file(folder):
@@ -138,13 +175,14 @@ def test_a_full_disk_keeps_the_old_checkpoint(folder, monkeypatch):
     source, target = torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)
     folder.save_checkpoint(net=source)
 
-    def fail(self, path):
-        raise RuntimeError("unable to resize file")
+    def fail(*_):
+        raise safetensors.SafetensorError("I/O error: No space left on device (os error 28)")
 
     with monkeypatch.context() as patch:
-        patch.setattr("train.support.run_folder.Checkpoint.save", fail)
-        with pytest.raises(OSError, match="unable to resize"):
+        patch.setattr("safetensors.torch.save_file", fail)
+        with pytest.raises(OSError, match=r"No space left on device: .*checkpoint") as caught:
             folder.save_checkpoint(net=target)
+    assert caught.value.errno == errno.ENOSPC
     assert folder.load_checkpoint(net=target)
     assert torch.equal(source.weight, target.weight)
 

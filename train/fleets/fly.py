@@ -20,7 +20,7 @@ from mjcollect.scene.depots import depot_of
 from mjcollect.scene.scene import Scene
 from mjcollect.verify import verify
 from train.fleets.report import Sharing
-from train.support.run_folder import RunError, RunFolder
+from train.support.run_folder import RunError, RunFolder, as_written
 
 # Trains UAV number so and so in a segment; returns the policy and segment.json.
 TrainPart = Callable[[int, int], tuple[TrainedPolicy, dict[str, Any]]]
@@ -75,10 +75,16 @@ def finished_fleet(run: Path, scene: Scene) -> tuple[Sharing, int]:
         raise RunError(
             f"--run: {run}: holds no fleet.json; leave --uavs out to fly a mission again"
         )
-    tours = tuple(tuple(mission["items"]) for mission in result["missions"])
-    depots = tuple(mission.get("depot", 0) for mission in result["missions"])
-    flown = courses(scene, tours, depots)
-    return Sharing(scene, result["uavs"], tours, flown, depots), result["seed"]
+    with as_written(run / "fleet.json"):
+        tours = tuple(tuple(map(int, mission["items"])) for mission in result["missions"])
+        depots = tuple(int(mission.get("depot", 0)) for mission in result["missions"])
+        uavs, seed = int(result["uavs"]), int(result["seed"])
+        items = sorted(item for tour in tours for item in tour)
+        if items != list(range(len(scene.items))) or not set(depots) <= set(
+            range(len(scene.depots))
+        ):
+            raise ValueError("other items or depots than the scene's")
+    return Sharing(scene, uavs, tours, courses(scene, tours, depots), depots), seed
 
 
 def fleet_policies(run: Path, sharing: Sharing) -> list[TrainedPolicy]:

@@ -19,15 +19,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
+from multiprocessing.reduction import DupFd
+from multiprocessing.util import get_temp_dir
 from types import ModuleType
+from typing import Any
+
+from train.jobs.tidy import FOLDER
 
 IMPORTED = ("train.segment", "train.mission", "train.fly", "mjcollect.render.path_figures")
 
 
 def warm_up() -> None:
     """Lets the server start to import, beside whatever this process does next."""
-    forkserver.set_forkserver_preload(list(IMPORTED))
-    forkserver.ensure_running()
+    forkserver.set_forkserver_preload(["train.jobs.tidy", *IMPORTED])
+    folder = get_temp_dir()
+    if multiprocessing.parent_process() is None:  # else it is the parent's, who removes it
+        os.environ[FOLDER] = folder
+    try:
+        forkserver.ensure_running()
+    finally:
+        os.environ.pop(FOLDER, None)
 
 
 def importing_pool(workers: int) -> ProcessPoolExecutor:
@@ -51,10 +62,10 @@ class Program:
         """Starts a module, in a session of its own: a Ctrl-C in the terminal does not reach it."""
         warm_up()
         context = multiprocessing.get_context("forkserver")
-        with tempfile.NamedTemporaryFile(prefix="mjcollect-", delete=False) as file:
-            self._output = file.name
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - `result` closes it; it has no name
+        handed = _Handed(self._output.fileno())
         self._process = context.Process(
-            target=_run, args=(program, tuple(arguments), dict(os.environ), self._output)
+            target=_run, args=(program, tuple(arguments), dict(os.environ), handed)
         )
         with _no_main_module():
             self._process.start()
@@ -68,11 +79,25 @@ class Program:
     def result(self) -> tuple[int, str]:
         """Waits for the end; returns exit code, and what was written to stdout and stderr."""
         self._process.join()
-        with open(self._output, encoding="utf-8", errors="replace") as file:
-            output = file.read()
-        os.unlink(self._output)
+        with self._output as file:
+            file.seek(0)
+            output = file.read().decode("utf-8", errors="replace")
         assert self._process.exitcode is not None
         return self._process.exitcode, output
+
+
+class _Handed:
+    """Is an open file's number here, and becomes its number there on the way to a process."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _taken, (DupFd(self.number),)
+
+
+def _taken(sent: Any) -> _Handed:
+    return _Handed(sent.detach())
 
 
 @contextlib.contextmanager
@@ -91,15 +116,15 @@ def ended(programs: Sequence[Program], timeout: float) -> list[Program]:
     return [sentinels[ready] for ready in wait(list(sentinels), timeout) if isinstance(ready, int)]
 
 
-def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: str) -> None:
+def _run(program: str, arguments: tuple[str, ...], env: Mapping[str, str], output: _Handed) -> None:
     """Becomes the program, in the process forked from the server."""
     os.setsid()
     # A shell's background job ignores Ctrl-C, and what it starts would ignore `interrupt`.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with open(output, "w") as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
+    os.dup2(output.number, 1)
+    os.dup2(output.number, 2)
+    os.close(output.number)
     os.environ.clear()
     os.environ.update(env)
     sys.argv = [program, *arguments]

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
+import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 from typing import TypeVar
 
@@ -14,6 +18,7 @@ import tyro
 from tqdm import tqdm
 
 from mjcollect.guidance.guidance import GuidanceError
+from mjcollect.learning.policy import PolicyError
 from mjcollect.scene.file_format import SceneError
 from mjcollect.scene.order import TourError
 from train.support.run_folder import RunError
@@ -65,12 +70,25 @@ def run_program(
     except (SceneError, TourError, GuidanceError, RunError) as error:
         say(f"error: {error}")
         return BAD_INPUT
+    except PolicyError as error:
+        say(f"error: {error}; put it back as it was written, or train it again")
+        return BAD_INPUT
     except KeyboardInterrupt:
         say(f"interrupted; {_again(args)}")
         return INTERRUPTED
     except OSError as error:  # a full disk, say: what was written is whole
-        say(f"error: {error}; when mended, {_again(args)}")
+        say(f"error: {error}{_disk(error)}; when mended, {_again(args)}")
         return 1
+
+
+def _disk(error: OSError) -> str:
+    """Returns, where a disk is full, which it is, and how many bytes are free there."""
+    if error.errno not in (errno.ENOSPC, errno.EDQUOT) or error.filename is None:
+        return ""
+    place = Path(os.fsdecode(error.filename)).absolute()
+    while not place.is_mount():
+        place = place.parent
+    return f": the disk at {place} has {shutil.disk_usage(place).free} bytes left"
 
 
 def _again(args: object) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mjcollect.scene.order import plan_order
 from mjcollect.scene.scene import Scene
-from train.support.run_folder import RunError, RunFolder
+from train.support.run_folder import RunError, RunFolder, as_written
 
 
 def finished_run(
@@ -27,7 +27,11 @@ def finished_run(
             f"--run: {folder}: holds no mission.json; name the folder of a finished mission"
         )
     scene = Scene.load(folder / "scene.json")
-    others = [run.segment(k).path / "scene.json" for k in range(len(result["segments"]))]
+    with as_written(folder / "mission.json"):
+        segments, seed = len(result["segments"]), int(result["seed"])
+        method = str(result["order_method"])
+        order = plan_order(scene, ",".join(str(int(item)) for item in result["order"]))
+    others = [run.segment(k).path / "scene.json" for k in range(segments)]
     given = [("--scene", Scene.find(scene_name))] if scene_name is not None else []
     for name, other in given + [(str(path), Scene.load(path)) for path in others]:
         if difference := scene_difference(scene, other):
@@ -35,15 +39,13 @@ def finished_run(
                 f"{name}: differs from {folder / 'scene.json'}, for which the run was trained: "
                 f"{difference}; train again for another scene"
             )
-    order, seed = tuple(result["order"]), result["seed"]
     if own_seed not in (None, seed):
         raise RunError(f"--seed: {own_seed}: the run's is {seed}; leave it out with --run")
     if own_order is not None and plan_order(scene, own_order, seed=seed) != order:
         raise RunError(
-            f"--order: {own_order}: the run's is {list(order)} ({result['order_method']}); leave "
-            "it out with --run"
+            f"--order: {own_order}: the run's is {list(order)} ({method}); leave it out with --run"
         )
-    return scene, order, result["order_method"], seed
+    return scene, order, method, seed
 
 
 def scene_difference(one: Scene, two: Scene) -> str | None:

@@ -13,13 +13,12 @@ import shlex
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl.checkpoint import Checkpoint
-
 from mjcollect.scene.scene import Scene
+from train.support import checkpoint
 
 VERSIONED = (
     "mjcollect",
@@ -43,6 +42,7 @@ RUN_FILES = (
     "logs",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # A folder holds these before config.json.
+MEND = "put the file back as it was written, or start anew with --overwrite"
 SPACE = 1_000_000  # A run is not begun with fewer free bytes.
 
 
@@ -91,14 +91,17 @@ class RunFolder:
             resume: whether to go on with what is there; None where the program cannot.
 
         Raises:
-            RunError: It is no folder, not empty without --resume or --overwrite, not writable, or
-                to be resumed with other settings.
+            RunError: It is no folder, not empty without --resume or --overwrite, not writable,
+                written to by another process, or to be resumed with other settings.
         """
         if resume and overwrite:
             raise RunError("--resume and --overwrite exclude each other: give one of them")
         if os.path.exists(self.path) and not os.path.isdir(self.path):
             raise RunError(f"--out: {self.path}: is a file; name a folder")
         check_writable(self.path, "--out")
+        if self.path.is_dir():
+            self.lock()  # Who writes there is told at once, not after the work before `create`.
+            self.unlock()
         if self.path.is_dir() and any(self.path.iterdir()) and not overwrite:
             if not resume:
                 go_on = "" if resume is None else "--resume to go on with it, "
@@ -150,6 +153,8 @@ class RunFolder:
         except OSError as error:
             raise RunError(f"--out: {self.path}: cannot be made ({error.strerror})") from None
         self.lock()
+        for left in self.path.glob(".part-*"):  # by a process that was killed
+            remove(left)
         if overwrite:
             for target in [path for name in files for path in self.path.glob(name)]:
                 remove(target)
@@ -161,6 +166,8 @@ class RunFolder:
     def lock(self) -> None:
         """Keeps other processes from writing here until `unlock` or the end of this one.
 
+        The lock is the kernel's, on the folder itself: it ends with the process, also by SIGKILL.
+
         Raises:
             RunError: Another process writes here.
         """
@@ -168,9 +175,10 @@ class RunFolder:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
+            who = _holder(self._lock)
             self.unlock()
             raise RunError(
-                f"--out: {self.path}: another process is writing to it; wait for it or stop it"
+                f"--out: {self.path}: {who} is writing to it; wait for it or stop it"
             ) from None
 
     def unlock(self) -> None:
@@ -178,6 +186,10 @@ class RunFolder:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
+
+    def __del__(self) -> None:
+        """Lets other processes write here, also where an error ended the work."""
+        self.unlock()
 
     def write(self, name: str, save: Callable[[Path], object]) -> None:
         """Writes a file through a temporary one and a rename: it is whole or not there."""
@@ -187,6 +199,9 @@ class RunFolder:
         try:
             save(part)
             os.replace(part, target)
+        except OSError as error:
+            # Where the disk is full Python does not say which file it was.
+            raise OSError(error.errno, error.strerror or str(error), str(target)) from error
         finally:
             part.unlink(missing_ok=True)
 
@@ -199,9 +214,21 @@ class RunFolder:
         self.write_text(name, json.dumps(document, indent=1, allow_nan=False) + "\n")
 
     def read_json(self, name: str) -> dict[str, Any] | None:
-        """Returns what a JSON file holds; None if it is not there."""
+        """Returns what a JSON file holds; None if it is not there.
+
+        Raises:
+            RunError: the file holds no JSON object.
+        """
         path = self.path / name
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+        if not path.is_file():
+            return None
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise RunError(f"{path}: is no JSON ({error}); {MEND}") from None
+        if not isinstance(document, dict):
+            raise RunError(f"{path}: holds no JSON object; {MEND}")
+        return document
 
     def write_metrics(self, rows: Sequence[dict[str, float]]) -> None:
         """Writes metrics.csv, one row per evaluation; empty cells where a value is NaN."""
@@ -223,9 +250,9 @@ class RunFolder:
         for stale in self.path.glob(".*part-checkpoint*"):  # TorchRL's own staging folder too
             shutil.rmtree(stale, ignore_errors=True)
         try:
-            Checkpoint(**components).save(new)
-        except RuntimeError as error:  # torch's way to say that the disk is full
-            raise OSError(f"{current}: cannot be written: {error}") from error
+            checkpoint.save(new, components)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(current)) from error
         if current.exists():
             shutil.rmtree(old, ignore_errors=True)
             current.rename(old)
@@ -233,12 +260,44 @@ class RunFolder:
         shutil.rmtree(old, ignore_errors=True)
 
     def load_checkpoint(self, **components: Any) -> bool:
-        """Restores the components from the last whole checkpoint; False if there is none."""
+        """Restores the components from the last checkpoint; False if there is none.
+
+        Raises:
+            RunError: a file of it is damaged, or it would have to be unpickled.
+        """
         for name in ("checkpoint", "checkpoint.old"):
             if (self.path / name).is_dir():
-                Checkpoint(**components).load(self.path / name)
+                try:
+                    checkpoint.load(self.path / name, components)
+                except checkpoint.DamagedCheckpoint as error:
+                    raise RunError(f"--resume: {error}; {MEND}") from None
                 return True
         return False
+
+
+@contextlib.contextmanager
+def as_written(path: Path) -> Iterator[None]:
+    """Refuses a file of another run in which something is missing, or of another type.
+
+    Raises:
+        RunError: it is so.
+    """
+    try:
+        yield
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise RunError(f"--run: {path}: is not as a run leaves it ({error!r}); {MEND}") from None
+
+
+def _holder(descriptor: int) -> str:
+    """Returns which process has a lock on an open folder, as far as Linux says so."""
+    about = os.fstat(descriptor)
+    device = f"{os.major(about.st_dev):02x}:{os.minor(about.st_dev):02x}:{about.st_ino}"
+    with contextlib.suppress(OSError):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            words = line.split()
+            if words[1:2] == ["FLOCK"] and words[5] == device:
+                return f"another process ({words[4]})"
+    return "another process"
 
 
 def remove(path: Path) -> None:

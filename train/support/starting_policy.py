@@ -9,7 +9,7 @@ from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course
 from mjcollect.envs.episode import Rules
 from mjcollect.learning.config import LearnConfig
-from mjcollect.learning.policy import UNREADABLE, TrainedPolicy, weights_file
+from mjcollect.learning.policy import PolicyError, TrainedPolicy, weights_file
 from train.support.run_folder import RunError
 
 
@@ -29,10 +29,10 @@ def start_from(path: Path, learn: LearnConfig) -> tuple[TrainedPolicy, LearnConf
     """
     try:
         policy = TrainedPolicy.load(weights_file(path))
-    except UNREADABLE as error:
+    except PolicyError as error:
         raise RunError(
-            f"--policy: {path}: holds no policy ({type(error).__name__}); name a "
-            "policy.safetensors of train.generalist or a segment's policy.pt"
+            f"--policy: {error}; name a policy.safetensors of train.generalist or a segment's "
+            "policy.pt"
         ) from None
     usual = LearnConfig()
     for field, value in (("observation", policy.observation), ("width", policy.width)):

@@ -1,0 +1,1 @@
+"""Measures what happens to runs that are killed, files that are damaged, and input at random."""
