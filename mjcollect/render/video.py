@@ -105,8 +105,9 @@ def render_run(folder: str | os.PathLike[str], settings: VideoSettings | None = 
             for frame in bar:
                 writer.add_image(frame)
         os.replace(part, path)
-    except (OSError, ValueError) as error:
-        raise RenderError(f"{path}: cannot be written ({_line(error)})") from None
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: what ffmpeg said
+        said = str(error).splitlines()
+        raise RenderError(f"{path}: cannot be written ({_line(''.join(said[-1:]))})") from None
     finally:
         part.unlink(missing_ok=True)
     return path
@@ -193,5 +194,5 @@ def _caption(result: dict[str, Any]) -> str | None:
     return f"{who}{': ' if who else ''}{str(first['kind']).upper()}{when}"
 
 
-def _line(error: BaseException) -> str:
+def _line(error: object) -> str:
     return " ".join(str(error).split())[:200]
