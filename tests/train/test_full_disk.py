@@ -8,6 +8,7 @@ import subprocess
 
 import pytest
 
+from mjcollect.render.video import render_in_child
 from mjcollect.scene.trajectory import Trajectory
 from train.fly import main as fly
 from train.segment import main as segment
@@ -73,3 +74,20 @@ def test_a_flight_on_a_full_disk(disk, scene_file, monkeypatch, capsys):
     filler.unlink()
     assert fly(arguments) == 0
     assert len(Trajectory.load(out / "trajectory.csv")) > 100
+
+
+def test_a_video_on_a_full_disk(disk, scene_file, monkeypatch):
+    out = disk / "run"
+    arguments = ["--scene", str(scene_file), "--planner", "guidance", "--out", str(out)]
+    assert fly([*arguments, "--no-video", "--no-plots"]) == 0
+    before = {path.name for path in out.iterdir()}
+    there = os.statvfs(disk)
+    (disk / "filler").write_bytes(bytes(there.f_bavail * there.f_frsize - 65536))
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    reason = render_in_child(out)
+    assert reason is not None
+    if "off-screen rendering" in reason:
+        pytest.skip("no EGL here: apt-get install libegl1 libgl1-mesa-dri")
+    assert f"{out / 'mission.mp4'}: cannot be written" in reason
+    assert "No space left on device" in reason
+    assert {path.name for path in out.iterdir()} == before

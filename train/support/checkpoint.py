@@ -59,7 +59,7 @@ def load(folder: Path, components: Mapping[str, Any]) -> None:
     _check_sums(folder)
     try:
         _checkpoint(components).load(folder)
-    except (CheckpointError, OSError) as error:
+    except (CheckpointError, OSError, ValueError, TypeError, AttributeError) as error:
         raise DamagedCheckpoint(f"{folder}: {error}") from error
 
 
@@ -92,7 +92,8 @@ def _check_sums(folder: Path) -> None:
         ) from None
     if own != f"# {hashlib.sha256(text.encode()).hexdigest()}":
         raise DamagedCheckpoint(f"{path}: is damaged")
-    wanted = {name: digest for digest, name in (line.split("  ", 1) for line in text.splitlines())}
+    lines = [line.partition("  ") for line in text.splitlines()]
+    wanted = {name: digest for digest, _, name in lines}
     there = _files(folder)
     for name in sorted({*wanted, *there}):
         if name not in there:
