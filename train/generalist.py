@@ -324,13 +324,8 @@ def _build(folder: RunFolder, args: Args) -> tuple[list[int], list[int]] | None:
     built: dict[str, bool] = folder.read_json("pool.json") or {}
     wanted = [*range(args.segments), *range(HELD_OUT, HELD_OUT + args.held_out)]
     missing = [number for number in wanted if str(number) not in built]
-<<<<<<< HEAD
-    for torn in (folder.path / POOL).glob("*.tmp"):  # by a process that was killed
-        torn.unlink()
-=======
     for draft in (folder.path / POOL).glob("*.tmp"):  # by a process that was killed
         draft.unlink()
->>>>>>> reliability
     with stop_on_ctrl_c() as stopped, progress_bar(len(wanted), "segment") as bar:
         bar.update(len(wanted) - len(missing))
         for number, ok in build_all(args.seed, missing, folder.path / POOL, args.workers):

@@ -84,7 +84,7 @@ def load_run(folder: str | os.PathLike[str]) -> FlownRun:
     return run
 
 
-def one_line(error: BaseException) -> str:
+def one_line(error: object) -> str:
     """Returns an error's message in one line of at most 200 characters."""
     return " ".join(str(error).split())[:200]
 

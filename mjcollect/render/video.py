@@ -91,16 +91,11 @@ def render_run(
             for frame in bar:
                 writer.add_image(frame)
         os.replace(part, path)
-<<<<<<< HEAD
     except WorkerError as error:
         raise RenderError(f"{path}: {one_line(error)}; {LATER} {folder} --processes 1") from None
-    except (OSError, ValueError) as error:
-        raise RenderError(f"{path}: cannot be written ({one_line(error)})") from None
-=======
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: what ffmpeg said
-        said = str(error).splitlines()
-        raise RenderError(f"{path}: cannot be written ({_line(''.join(said[-1:]))})") from None
->>>>>>> reliability
+        said = "".join(str(error).splitlines()[-1:])
+        raise RenderError(f"{path}: cannot be written ({one_line(said)})") from None
     finally:
         part.unlink(missing_ok=True)
     return path
@@ -167,22 +162,3 @@ def check_gl() -> None:
             f"({type(error).__name__}: {one_line(error)}); set MUJOCO_GL=egl and "
             "apt-get install libegl1 libgl1-mesa-dri"
         ) from None
-<<<<<<< HEAD
-=======
-
-
-def _caption(result: dict[str, Any]) -> str | None:
-    """Returns the headline of an unsuccessful run; None if it succeeded."""
-    if result.get("success") or not result.get("violations"):
-        return None
-    # Those of a fleet are in order for each UAV only.
-    first = min(result["violations"], key=lambda each: float(each.get("t") or 0.0))
-    when = "" if first.get("t") is None else f" at {float(first['t']):.2f} s"
-    whose = first.get("uavs", [first["uav"]] if "uav" in first else [])
-    who = " and ".join(f"UAV {number}" for number in whose)
-    return f"{who}{': ' if who else ''}{str(first['kind']).upper()}{when}"
-
-
-def _line(error: object) -> str:
-    return " ".join(str(error).split())[:200]
->>>>>>> reliability
