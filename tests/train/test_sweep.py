@@ -8,8 +8,9 @@ import numpy as np
 import optuna
 import pytest
 
-from examples import sweep, sweep_training
-from examples.sweep_report import Result, ranked, verdict
+from examples.sweep import __main__ as sweep
+from examples.sweep import training as sweep_training
+from examples.sweep.report import Result, ranked, verdict
 from mjcollect.learning.config import LearnConfig
 
 TINY = (  # noqa: SIM905 - reads like the command line

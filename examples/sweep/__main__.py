@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from examples.sweep_report import Result, write_report
-from examples.sweep_training import JUDGED, Crew, Task, hired, score, train
+from examples.sweep.report import Result, write_report
+from examples.sweep.training import JUDGED, Crew, Task, hired, score, train
 from mjcollect.envs.course import Course
 from mjcollect.learning.config import LearnConfig
 from mjcollect.learning.evaluation import Evaluator

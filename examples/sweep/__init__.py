@@ -1,0 +1,1 @@
+"""Searches settings of the learner with Optuna: `python -m examples.sweep`."""
