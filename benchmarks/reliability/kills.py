@@ -74,7 +74,7 @@ class Args:
     fresh: int = 1
     """Starts the first so many of each kind by python -m."""
     out: Path | None = None
-    """JSON file for the results."""
+    """JSON file for the results; what it has of other kinds of runs is kept."""
 
 
 @dataclass
@@ -125,7 +125,8 @@ def living() -> list[int]:
     found = []
     for path in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            marked = f"{MARK}=".encode() in (path / "environ").read_bytes()
+            words = (path / "environ").read_bytes().split(b"\0")
+            marked = f"{MARK}={os.getpid()}".encode() in words
             zombie = (path / "stat").read_text().rpartition(")")[2].split()[0] == "Z"
             if marked and not zombie and int(path.name) not in own:
                 found.append(int(path.name))
@@ -219,7 +220,7 @@ def main(argv: list[str] | None = None) -> int:
     """Runs the campaign; returns 1 if anything was found."""
     args = tyro.cli(Args, args=argv, prog="python -m benchmarks.reliability.kills")
     os.environ[MARK] = str(os.getpid())
-    begun, rows = time.monotonic(), []
+    rows = []
     place = Path(tempfile.mkdtemp(prefix="kills-"))
     Finalize(
         None, shutil.rmtree, (place, True), exitpriority=-200
@@ -241,13 +242,16 @@ def main(argv: list[str] | None = None) -> int:
         print(rows[-1], flush=True)
     mine = {Path(forkserver._forkserver._forkserver_address).parent}
     left = sorted(path.name for path in temporary.iterdir() if path not in mine)
+    for row in rows:
+        row["left"] = left
     heads = ("case", "kills", "runs", "equal", "orphans")
     print("\n".join(markdown_table(heads, [[str(row[h]) for h in heads] for row in rows])))
     print(f"left in the temporary folder: {left or 'nothing'}")
     if args.out is not None:
-        seconds = round(time.monotonic() - begun)
-        document = {"results": rows, "left": left, "seconds": seconds, "versions": versions()}
-        RunFolder(args.out.parent).write_json(args.out.name, document)
+        folder = RunFolder(args.out.parent)
+        before = (folder.read_json(args.out.name) or {"results": []})["results"]
+        kept = [row for row in before if row["case"] not in args.cases]
+        folder.write_json(args.out.name, {"results": [*kept, *rows], "versions": versions()})
     good = all(row["equal"] == row["runs"] and not row["orphans"] for row in rows)
     return 0 if good and not left else 1
 
