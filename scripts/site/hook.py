@@ -32,8 +32,12 @@ MORE = {
     "verify_fleet": "mjcollect.verify",
     "Violation": "mjcollect.verify",
     "Encounter": "mjcollect.verify",
+    "FlightEnv": "mjcollect.gym.env",
+    "FlightVectorEnv": "mjcollect.gym.vector_env",
+    "FlightVecEnv": "mjcollect.gym.sb3",
+    "TrainingLog": "mjcollect.learning.logs",
 }
-ROOMS = ["scene", "envs", "flight", "fleet", "planners", "learning", "generate", "verify"]
+ROOMS = ["scene", "envs", "flight", "fleet", "planners", "learning", "gym", "generate", "verify"]
 
 
 def on_config(config: Any) -> Any:
