@@ -52,8 +52,11 @@ def main(argv: list[str] | None = None) -> int:
             text = FORMATS[args.format](mission)
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text, encoding="utf-8")
-    except (ExportError, SceneError, ValueError) as error:
+    except (ExportError, SceneError) as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    except ValueError as error:
+        print(f"error: --run: {args.run}: cannot be read ({error})", file=sys.stderr)
         return 2
     except OSError as error:
         print(f"error: --out: {out}: cannot be written: {error.strerror}", file=sys.stderr)

@@ -108,7 +108,8 @@ def check_lean_is_torchrl(size, n, tolerance, steps, taught=False, **changes):
 
 @pytest.mark.parametrize("steps", [False, True])
 def test_lean_update_is_torchrls(steps):
-    check_lean_is_torchrl(45, 256, 1e-6, steps, width=128)
+    """In single precision, up to the rounding of sums of 256, whose order differs by processor."""
+    check_lean_is_torchrl(45, 256, 256 * 2.0**-24, steps, width=128)
 
 
 @pytest.mark.parametrize("taught", [False, True])

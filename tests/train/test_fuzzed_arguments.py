@@ -27,6 +27,8 @@ BASE = {
     "generate": (MANY, "--seed 1 --items 3 --obstacles 5 --out new.json"),
     "import": (MANY, "map.geojson --center 31.3 120.6 --random-items 3 --out new.json"),
     "render": (MANY, "--run run"),
+    "replay": (MANY, "run --out new.html"),
+    "view": (MANY, "--run run"),
     "verify": (MANY, "run"),
     "export": (MANY, "--run run --format csv"),
 }
@@ -129,7 +131,9 @@ def says(error, words):
 
     parts = [plain(part)[:20] for word in words for part in (word, *word.split("="))]
     named = any(part in plain(error) for part in parts if part)
-    return named or re.search("required|unrecognized|error: scene file: ", error, re.IGNORECASE)
+    named = named or any(f"error: {word or '.'}: " in error for word in words)
+    missing = "required|is missing|unrecognized|error: scene file: "
+    return named or re.search(missing, error, re.IGNORECASE)
 
 
 @pytest.mark.parametrize("name", BASE)
