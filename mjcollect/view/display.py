@@ -36,7 +36,8 @@ def require_display() -> None:
         window = glfw.create_window(64, 64, "mjcollect", None, None)
         glfw.default_window_hints()
         if window:
+            # GLFW stays connected: a server without clients, as Xvfb, starts anew for a moment.
             glfw.destroy_window(window)
-        glfw.terminate()  # The viewer's thread starts it anew.
-        if not window:
+        else:
+            glfw.terminate()
             raise DisplayError(f"display: {named}: opens no window with OpenGL; {ALTERNATIVES}")

@@ -107,6 +107,15 @@ def test_insets_are_the_same_whichever_frames_are_left_out(fleet: FleetProgress)
                 np.testing.assert_array_equal(picture, every[frame])
 
 
+def test_a_path_begins_at_its_first_point_however_long_the_rest_there(fleet: FleetProgress) -> None:
+    """Points before the first would be those at the end, to which the inset would draw a line."""
+    t = np.linspace(0.0, fleet.duration, 60)
+    for m in range(len(fleet.flights)):
+        track = Track(fleet, m, t, t[1])
+        assert track.point(t[0] - 1.0) == track.point(t)[0] == 0
+        assert np.all(np.diff(track.point(t)) >= 0)
+
+
 # Processes
 
 
@@ -185,7 +194,7 @@ CLIP = """
 import sys
 from mjcollect.render import VideoSettings, render_run
 for processes in (1, 2):
-    film = render_run(sys.argv[1], VideoSettings(fps=3, size=(320, 180)), processes)
+    film = render_run(sys.argv[1], VideoSettings(fps=1, size=(320, 180)), processes)
     film.rename(film.with_name(f"{processes}.mp4"))
 """
 

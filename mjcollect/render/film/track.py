@@ -74,7 +74,8 @@ class Track:
 
     def point(self, time: Array) -> NDArray[np.int_]:
         """Returns the last point of the trail that was passed at times (...) in s."""
-        return np.searchsorted(self.trail_time, time, side="right") - 1
+        # A UAV that rests at first leaves its first point later than at the beginning.
+        return np.maximum(np.searchsorted(self.trail_time, time, side="right") - 1, 0)
 
     def flown(self, frame: int, last: int, view: View) -> tuple[Array, Array]:
         """Returns the path (P, 3) up to a frame, which passed the point `last`; RGB of its pieces.
