@@ -83,7 +83,7 @@ class Track:
         Far from the camera `view`, pieces are put together; on the path of the UAV that is followed
         only where that cannot be seen.
         """
-        whole = max(last, 0) // COARSE  # blocks of pieces flown to their end; -1 before the first
+        whole = last // COARSE  # blocks of pieces that are flown to their end
         firsts = self.trail[: whole * COARSE : COARSE]
         away = np.linalg.norm(firsts - view.eye, axis=1) - COARSE * SPACING
         fine = away < NEAR
