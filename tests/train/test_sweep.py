@@ -26,7 +26,7 @@ def _small_evaluations():
         usual = LearnConfig
 
         def small(**settings):
-            return usual(**{"eval_episodes": 2, "width": 8, "buffer": 2_000, **settings})
+            return usual(**{"eval_episodes": 2, "width": 8, "buffer": 2_500, **settings})
 
         patch.setattr(sweep, "LearnConfig", small)
         yield
