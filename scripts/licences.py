@@ -17,13 +17,14 @@ from packaging.utils import canonicalize_name
 
 PAGE = Path(__file__).parents[1] / "docs" / "licences.md"
 BEGIN, END = "<!-- by scripts/licences.py -->", "<!-- end -->"
-FOR_DEVELOPMENT = {"bench", "dev"}  # extras that no user needs
+# Extras that no user needs, and one that `make setup` does not install, so that it is not read.
+LEFT_OUT = {"bench", "dev", "wandb"}
 
 
 def extras() -> list[str]:
     """Returns mjcollect's extras for users."""
     offered = distribution("mjcollect").metadata.get_all("Provides-Extra", [])
-    return [extra for extra in offered if extra not in FOR_DEVELOPMENT]
+    return [extra for extra in offered if extra not in LEFT_OUT]
 
 
 def needed(name: str, extra: str = "") -> list[Requirement]:
