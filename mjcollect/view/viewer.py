@@ -5,10 +5,12 @@ Import this only where there is a display.
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import FrameType
 
 import mujoco
 import mujoco.viewer
@@ -47,12 +49,12 @@ def show_scene(scene: Scene, seconds: float | None = None) -> None:
     data.qpos[:3] = scene.depot
     mujoco.mj_forward(model, data)
     begin = time.monotonic()
-    with _window(model, data, scene, lambda key: None) as viewer:
+    with _window(model, data, scene, lambda key: None) as (viewer, goes_on):
         viewer.set_texts(_text([("scene", scene.name), KEYS[-1]]))
         with viewer.lock():
             _feet(viewer.user_scn, scene)
         viewer.sync()
-        while viewer.is_running() and not _over(begin, seconds):
+        while goes_on() and not _over(begin, seconds):
             time.sleep(REFRESH)
             viewer.sync()
 
@@ -69,8 +71,8 @@ def show_flight(
     flown, playback = _Flown(fleet, air), Playback(fleet.duration, speed)
     begin = now = time.monotonic()
     pressed: list[int] = []  # by the viewer's thread
-    with _window(flown.model, flown.data, fleet.scene, pressed.append) as viewer:
-        while viewer.is_running() and not _over(begin, seconds):
+    with _window(flown.model, flown.data, fleet.scene, pressed.append) as (viewer, goes_on):
+        while goes_on() and not _over(begin, seconds):
             before, now = now, time.monotonic()
             playback.advance(now - before)
             while pressed:
@@ -142,8 +144,22 @@ class _Flown:
 @contextmanager
 def _window(
     model: mujoco.MjModel, data: mujoco.MjData, scene: Scene, key: Callable[[int], None]
-) -> Iterator[mujoco.viewer.Handle]:
-    """Opens the window, which looks at the whole scene from above one corner, and closes it."""
+) -> Iterator[tuple[mujoco.viewer.Handle, Callable[[], bool]]]:
+    """Opens the window, which looks at the whole scene from above one corner, and closes it.
+
+    Gives the window, and a function that says whether it is open and no Ctrl-C was pressed.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed; at the end, since MuJoCo's viewer, interrupted while
+            it opens or draws, would neither go on nor close.
+    """
+    stopped = False
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal stopped
+        stopped = True
+
+    before = signal.signal(signal.SIGINT, stop)
     threads = set(threading.enumerate())
     viewer = mujoco.viewer.launch_passive(
         model, data, key_callback=key, show_left_ui=False, show_right_ui=False
@@ -156,12 +172,15 @@ def _window(
             viewer.cam.distance = float(np.linalg.norm(offset))
             viewer.cam.azimuth = np.degrees(np.arctan2(offset[1], offset[0]))
             viewer.cam.elevation = np.degrees(np.arcsin(offset[2] / viewer.cam.distance))
-        yield viewer
+        yield viewer, lambda: viewer.is_running() and not stopped
     finally:
         viewer.close()
         # MuJoCo's issue 790: a program that ends before the window's thread does ends by SIGSEGV.
         for thread in set(threading.enumerate()) - threads:
             thread.join(CLOSING)
+        signal.signal(signal.SIGINT, before)
+    if stopped:
+        raise KeyboardInterrupt
 
 
 def _over(begin: float, seconds: float | None) -> bool:

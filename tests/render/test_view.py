@@ -118,15 +118,24 @@ def watch(display: str, arguments: list[str], seconds: float = 90.0) -> tuple[Im
         [sys.executable, "-m", "mjcollect.view", *arguments], env=environment
     ) as program:
         deadline = time.monotonic() + seconds
-        while np.asarray(ImageGrab.grab(xdisplay=display)).std() < 10:
-            assert program.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
-        time.sleep(1.0)
-        seen = ImageGrab.grab(xdisplay=display)
-        if "--seconds" not in arguments:
-            program.send_signal(signal.SIGINT)
-        return seen, program.wait(60)
+        try:
+            return _seen(display, arguments, program, deadline)
+        finally:
+            program.kill()
+
+
+def _seen(
+    display: str, arguments: list[str], program: subprocess.Popen[bytes], deadline: float
+) -> tuple[Image.Image, int]:
+    while np.asarray(ImageGrab.grab(xdisplay=display)).std() < 10:
+        assert program.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    time.sleep(1.0)
+    seen = ImageGrab.grab(xdisplay=display)
+    if "--seconds" not in arguments:
+        program.send_signal(signal.SIGINT)
+    return seen, program.wait(60)
 
 
 def test_it_plays_a_fleet_and_ends_by_itself(display: str, folder: Path) -> None:
