@@ -54,6 +54,7 @@ def render_frames(film: Film, processes: int) -> Generator[Picture]:
     Raises:
         WorkerError: a process failed or was killed.
     """
+    processes = min(processes, len(film))
     if processes == 1:
         yield from film.frames()
         return
@@ -81,7 +82,7 @@ def _as_parent() -> Iterator[None]:
     """
     main = sys.modules["__main__"]
     given = os.environ.get(THREADS)
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         sys.modules["__main__"] = ModuleType("__main__")
         os.environ.setdefault(THREADS, "0")
@@ -90,7 +91,7 @@ def _as_parent() -> Iterator[None]:
         if given is None:
             os.environ.pop(THREADS, None)
         sys.modules["__main__"] = main
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 class _Worker:
