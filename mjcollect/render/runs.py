@@ -64,10 +64,7 @@ def load_run(folder: str | os.PathLike[str]) -> FlownRun:
         UnreadableRun: it is none, or a file of it is missing or not as it was written.
     """
     folder = Path(folder)
-    try:
-        kind = next((k for k in KINDS if (folder / f"{k}.json").is_file()), None)
-    except OSError as error:
-        raise UnreadableRun(f"{folder}: cannot be read ({error.strerror})") from None
+    kind = next((k for k in KINDS if os.path.isfile(folder / f"{k}.json")), None)
     if kind is None:
         raise UnreadableRun(
             f"{folder}: holds neither segment.json nor mission.json nor fleet.json; name the "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -28,9 +29,9 @@ def main(argv: list[str] | None = None) -> int:
         if args.out is None and len(args.runs) > 1:
             raise ReplayError(f"--out: is missing: {len(args.runs)} runs need a file of their own")
         out = args.out or args.runs[0] / FILE
-        if out.exists() and not args.overwrite:
+        if os.path.exists(out) and not args.overwrite:
             raise ReplayError(f"--out: {out}: exists; add --overwrite or name another file")
-        if out.is_dir():
+        if os.path.isdir(out):
             raise ReplayError(f"--out: {out}: is a folder; name a file")
         if args.out is not None:
             out.parent.mkdir(parents=True, exist_ok=True)

@@ -190,7 +190,9 @@ class Scene:
     def find(cls, name: str | os.PathLike[str]) -> Scene:
         """Reads a file, or a bundled scene by a name such as `scenario_1`; see `load`."""
         bundled = asset_path("scenes", f"{name}.json")
-        return cls.load(bundled if not Path(name).exists() and bundled.is_file() else name)
+        # Of a name that no file can have, `os.path` says that it is not there; `load` says why.
+        known = not os.path.exists(name) and os.path.isfile(bundled)
+        return cls.load(bundled if known else name)
 
     @classmethod
     def from_json(cls, text: str) -> Scene:

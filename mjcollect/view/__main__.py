@@ -44,9 +44,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (SceneError, DisplayError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except OSError as error:
-        print(f"error: {error.filename}: cannot be read ({error.strerror})", file=sys.stderr)
-        return 2
     from mjcollect.view.viewer import show_flight, show_scene  # It needs a display.
 
     try:

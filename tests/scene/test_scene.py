@@ -346,6 +346,9 @@ def test_find_prefers_a_file_and_names_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SceneError, match="nowhere"):
         Scene.find("nowhere")
+    for name in ("x" * 5000, "a\0b"):  # that no file can have
+        with pytest.raises(SceneError, match="cannot be read"):
+            Scene.find(name)
     (tmp_path / "scenario_1").write_text(json.dumps(VALID))
     assert Scene.find("scenario_1").name == "small"
 
