@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from mjcollect.geometry.among_boxes import segment_clear
@@ -49,10 +49,11 @@ def by_mujoco(box, yaw, start, end):
     length = float(np.linalg.norm(end - start)) / 2
     spec = mujoco.MjSpec()
     half = np.radians(yaw) / 2
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX, pos=box.mean(axis=0), size=(box[1] - box[0]) / 2,
-        quat=[np.cos(half), 0, 0, np.sin(half)],
-    )  # fmt: skip
+    # The body is turned, not the geom: MuJoCo takes turns of a geom below 2e-6 rad for none.
+    turned_body = spec.worldbody.add_body(
+        pos=box.mean(axis=0), quat=[np.cos(half), 0, 0, np.sin(half)]
+    )
+    turned_body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(box[1] - box[0]) / 2)
     body = spec.worldbody.add_body(pos=(start + end) / 2)
     if length < 1e-3:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.25, 0, 0])
@@ -68,6 +69,11 @@ def by_mujoco(box, yaw, start, end):
 
 @settings(deadline=None, max_examples=60)
 @given(boxes(), points, points)
+@example(  # a turn of a hundred-thousandth of a degree
+    (np.array([[[-1.0, 0.0, -1.15], [1.0, 12.0, 1.15]]]), np.array([1e-5])),
+    np.array([37.971573006808214, 0.0, 0.0]),
+    np.array([16.49781445, 20.0, 24.75250607]),
+)
 def test_distances_are_those_of_mujoco(box, start, end):
     """Apart from each other: what overlaps has no distance."""
     (plain,), (yaw,) = box
