@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +40,16 @@ class View:
     fovy: float
     size: tuple[int, int]
 
-    @property
+    @cached_property
     def axes(self) -> Array:
         """Returns the unit vectors to the right, up and forward, (3, 3)."""
         forward = self.target - self.eye
         forward = forward / np.linalg.norm(forward)
         right = np.array([forward[1], -forward[0], 0.0])
         right = right / np.linalg.norm(right)
-        return np.stack([right, np.cross(right, forward), forward])
+        x, y = right[:2]  # np.cross, which takes any axes, is slow for two vectors
+        up = [y * forward[2], -x * forward[2], x * forward[1] - y * forward[0]]
+        return np.array([right, up, forward])
 
     @property
     def pixel(self) -> float:
@@ -55,7 +58,8 @@ class View:
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Returns pixels (..., 2), x right and y down, and depth (...) in m, negative if behind."""
-        right, up, depth = np.moveaxis((points - self.eye) @ self.axes.T, -1, 0)
+        along = (points - self.eye) @ self.axes.T
+        right, up, depth = along[..., 0], along[..., 1], along[..., 2]
         width, height = self.size
         focal = height / 2 / np.tan(np.radians(self.fovy) / 2)
         scale = focal / np.where(np.abs(depth) < 1e-9, 1e-9, depth)

@@ -12,7 +12,17 @@ from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.camera import View
 from mjcollect.render.fleet import UAV_WIDTH, FleetProgress
-from mjcollect.render.overlay import PANEL, WHITE, Colour, font, ink, node_look, pill, uav_colour
+from mjcollect.render.overlay import (
+    PANEL,
+    WHITE,
+    Colour,
+    font,
+    ink,
+    node_look,
+    pill,
+    uav_colour,
+    write,
+)
 from mjcollect.scene.order import node_name
 
 Rectangle = tuple[float, float, float, float]  # left, top, right, bottom in pixels
@@ -224,11 +234,11 @@ def _uav_plate(
     plate = (u - wide, v - high, u + wide, v + high)
     draw.rounded_rectangle(plate, high, PANEL, WHITE, max(1, pixels // 9))
     left = u - wide + 0.6 * pixels
-    draw.text((left, v), "UAV", WHITE, letters, anchor="lm")
+    write(draw, (left, v), "UAV", WHITE, letters)
     left += letters.getlength("UAV ")
     for mark in group:
         chip = letters.getlength(str(mark.number)) + CHIP * pixels
         box = (left, v - 0.62 * pixels, left + chip, v + 0.62 * pixels)
         draw.rounded_rectangle(box, 0.62 * pixels, mark.colour, WHITE if mark.seen else None)
-        draw.text((left + chip / 2, v), str(mark.number), ink(mark.colour), letters, anchor="mm")
+        write(draw, (left + chip / 2, v), str(mark.number), ink(mark.colour), letters, "mm")
         left += chip + GAP * pixels

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import combinations, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,6 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from mjcollect.geometry.among_boxes import segment_clear
 from mjcollect.geometry.compiled import Array
 from mjcollect.render.camera import View
 from mjcollect.render.fleet import FleetProgress
@@ -56,6 +55,30 @@ def font(pixels: float, bold: bool = False) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / name
     return ImageFont.truetype(str(path), max(round(pixels), 5))
+
+
+def write(
+    draw: ImageDraw.ImageDraw, place: tuple[float, float], text: str, colour: Colour,
+    letters: ImageFont.FreeTypeFont, anchor: str = "lm",
+) -> None:  # fmt: skip
+    """Writes text at a place in pixels, rounded; `anchor` says where in the text that is.
+
+    It is "lm", "mm" or "rm": its left, middle or right, halfway up.
+    """
+    (left, top), shape = _shape(text, letters, anchor)
+    draw.bitmap((round(place[0]) + left, round(place[1]) + top), shape, colour)
+
+
+@lru_cache(512)  # Most of a frame's texts stand in the one before.
+def _shape(
+    text: str, letters: ImageFont.FreeTypeFont, anchor: str
+) -> tuple[tuple[int, int], Image.Image]:
+    """Returns where text begins, from its anchor, and how much of each pixel it covers."""
+    box = letters.getbbox(text, anchor=anchor)
+    left, top, right, bottom = math.floor(box[0]), math.floor(box[1]), *map(math.ceil, box[2:])
+    shape = Image.new("L", (right - left, bottom - top))
+    ImageDraw.Draw(shape).text((-left, -top), text, 255, letters, anchor=anchor)
+    return (left, top), shape
 
 
 class Look(NamedTuple):
@@ -112,82 +135,6 @@ def on_panel(colour: Colour) -> Colour:
     return tuple(round(part + share * (255 - part)) for part in colour[:3])
 
 
-class Overview:
-    """Draws flown paths and the nodes on a still of the whole scene, seen from one corner.
-
-    Stills are rendered once per state of the items, which keeps a video affordable.
-    """
-
-    def __init__(
-        self, fleet: FleetProgress, view: View, trails: Sequence[tuple[Array, Array]]
-    ) -> None:
-        """Projects everything once.
-
-        Args:
-            fleet: what to mark. view: the camera of the stills.
-            trails: of each flight (N, 3) points of its path in metres and (N, 3) RGB in 0..1 there.
-        """
-        scene, self._fleet, self._view = fleet.scene, fleet, view
-        self._pixels = [view.project(points)[0] for points, _ in trails]
-        self._colours = [(colours * 255).astype(int) for _, colours in trails]
-        eye = view.eye[None, None]
-        hidden = [~segment_clear(at[:, None], eye, scene.tree, 1e-6)[:, 0] for at, _ in trails]
-        self._alpha = [np.where(behind, 110, 255) for behind in hidden]
-        self._nodes = scene.nodes
-        self._node_pixels = view.project(np.array([scene.point(node) for node in self._nodes]))[0]
-
-    @property
-    def _order(self) -> list[int]:
-        """Returns the flights in the order in which they are drawn, the lead on top."""
-        lead = self._fleet.lead
-        return [*(m for m in range(len(self._pixels)) if m != lead), lead]
-
-    def paths(self, image: Image.Image, last: Sequence[int], width: float) -> None:
-        """Draws each path up to the point `last` (M,), `width` pixels wide."""
-        self.paths_on(image, [0] * len(self._pixels), last, width)
-
-    def paths_on(
-        self, image: Image.Image, first: Sequence[int], last: Sequence[int], width: float
-    ) -> None:
-        """Draws each path from the point `first` (M,) on up to the point `last` (M,)."""
-        for m in self._order:
-            if last[m] > first[m]:
-                self._path(image, m, first[m], last[m], width)
-
-    def _path(self, image: Image.Image, m: int, first: int, last: int, width: float) -> None:
-        """Draws the points first..last of flight `m`, fainter where a box hides it."""
-        draw, pixels = ImageDraw.Draw(image, "RGBA"), self._pixels[m]
-        for outline in (True, False):
-            for k in range(first, last):
-                colour = DARK if outline else tuple(self._colours[m][k])
-                ends = [tuple(pixels[k]), tuple(pixels[k + 1])]
-                alpha = int(self._alpha[m][k] * (0.35 if outline else 1.0))
-                draw.line(ends, (*colour, alpha), round(width * (2.0 if outline else 1.0)))
-
-    def nodes(self, image: Image.Image, reached: Sequence[int], radius: float) -> None:
-        """Draws items as numbered discs and the depot as a square, of `radius` pixels."""
-        draw = ImageDraw.Draw(image, "RGBA")
-        ordered = sorted(zip(self._nodes, self._node_pixels, strict=True), key=lambda n: n[1][1])
-        for node, place in ordered:
-            look = node_look(self._fleet, node, reached)
-            grow = radius * look.grow
-            shape = draw.rectangle if node <= DEPOT else draw.ellipse
-            box = (*(place - grow), *(place + grow))
-            shape(box, look.fill, look.rim, max(1, round(radius * look.edge)))
-            label = "D" if node <= DEPOT else str(node)
-            draw.text(tuple(place), label, look.text, font(radius * 1.25, True), anchor="mm")
-
-    def uavs(self, image: Image.Image, xs: Array, radius: float) -> None:
-        """Draws each quadrotor's marker at `xs` (M, 3) and a thin line down to the ground."""
-        draw, floor = ImageDraw.Draw(image, "RGBA"), self._fleet.scene.bounds[0, 2]
-        for m in self._order:
-            x, colour = xs[m], uav_colour(self._fleet, m)
-            foot = np.array([x[0], x[1], floor])
-            (u, v), below = self._view.project(np.stack([x, foot]))[0]
-            draw.line([(u, v), tuple(below)], (*colour, 170), max(1, round(radius / 5)))
-            draw.circle((u, v), radius, colour, WHITE, max(1, round(radius / 4)))
-
-
 def fitted(text: str, letters: ImageFont.FreeTypeFont, width: float) -> str:
     """Returns `text`, cut short with an ellipsis if it is wider than `width` pixels."""
     if letters.getlength(text) <= width:
@@ -207,7 +154,7 @@ def pill(
     x, y = centre
     box = (x - half, y - 0.85 * pixels, x + half, y + 0.85 * pixels)
     draw.rounded_rectangle(box, 0.85 * pixels, fill, colour, max(1, pixels // 9))
-    draw.text((x, y), text, ink(fill), letters, anchor="mm")
+    write(draw, (x, y), text, ink(fill), letters, "mm")
 
 
 class FleetRow(NamedTuple):
@@ -261,7 +208,7 @@ class Hud:
             (right, 122, items, WHITE, small),
         ):
             anchor = "rm" if x == right else "lm"
-            draw.text((x, top + down * u), text, colour, letters, anchor=anchor)
+            write(draw, (x, top + down * u), text, colour, letters, anchor)
         x, y = round(left), round(top + 84 * u)
         full, high = self._bar.size
         filled = min(full, max(1, round(full * speed / limit)))
@@ -298,8 +245,8 @@ class Hud:
             draw.polygon([tuple(corner) for corner in corners], WIND)
         angle = round(float(np.degrees(np.arctan2(push[1], push[0])))) % 360
         x, y = middle
-        draw.text((x, y + 60 * u), f"wind {size:.1f} m/s²", WHITE, font(17 * u), "mm")
-        draw.text((x, y + 82 * u), f"to {angle}°", GREY, font(15 * u), "mm")
+        write(draw, (x, y + 60 * u), f"wind {size:.1f} m/s²", WHITE, font(17 * u), "mm")
+        write(draw, (x, y + 82 * u), f"to {angle}°", GREY, font(15 * u), "mm")
 
     def fleet(self, image: Image.Image, rows: Sequence[FleetRow], gap: float) -> None:
         """Draws a plate at the bottom right: what each UAV does, and the least distance of two.
@@ -316,17 +263,16 @@ class Hud:
             y, chip = top + 10 * u + (k + 0.5) * step, 0.30 * step
             draw.circle((left + 22 * u, y), chip, row.colour, WHITE, max(1, round(chip / 5)))
             name = font(0.62 * step, row.followed)
-            draw.text((left + 40 * u, y), row.name, WHITE, name, anchor="lm")
+            write(draw, (left + 40 * u, y), row.name, WHITE, name)
             room = (FLEET_WIDTH - 118 - 56) * u
             doing = fitted(row.doing, letters, room)
-            draw.text(
-                (left + 118 * u, y), doing, SHIELD if row.shielded else GREY, letters, anchor="lm"
-            )
-            draw.text((right - 14 * u, y), row.items, WHITE, letters, anchor="rm")
+            colour = SHIELD if row.shielded else GREY
+            write(draw, (left + 118 * u, y), doing, colour, letters)
+            write(draw, (right - 14 * u, y), row.items, WHITE, letters, "rm")
         if np.isfinite(gap):
             y = top + 10 * u + (len(rows) + 0.5) * step
-            draw.text((left + 14 * u, y), "closest two", GREY, letters, anchor="lm")
-            draw.text((right - 14 * u, y), f"{gap:.1f} m apart", WHITE, letters, anchor="rm")
+            write(draw, (left + 14 * u, y), "closest two", GREY, letters)
+            write(draw, (right - 14 * u, y), f"{gap:.1f} m apart", WHITE, letters, "rm")
 
     def fleet_place(self, count: int) -> tuple[float, float, float]:
         """Returns left, top and height of a row of that plate for so many UAVs, in pixels."""
@@ -356,14 +302,4 @@ class Hud:
         bottom = 20 * u + (42 + 34 * len(lines)) * u
         draw.rounded_rectangle((20 * u, 20 * u, 68 * u + width, bottom), 12 * u, PANEL)
         for y, text, colour, letters in rows:
-            draw.text((44 * u, y), text, colour, letters, anchor="lm")
-
-
-def draw_moving_box(image: Image.Image, view: View, box: Array, width: float) -> None:
-    """Draws the edges of a box (2, 3), `width` pixels wide, as the camera `view` sees them."""
-    draw = ImageDraw.Draw(image, "RGBA")
-    corners = list(product((0, 1), repeat=3))
-    pixels = view.project(np.array([box[list(c), range(3)] for c in corners]))[0]
-    for a, b in combinations(range(8), 2):
-        if sum(one != two for one, two in zip(corners[a], corners[b], strict=True)) == 1:
-            draw.line([tuple(pixels[a]), tuple(pixels[b])], MOVING, max(1, round(width)))
+            write(draw, (44 * u, y), text, colour, letters)

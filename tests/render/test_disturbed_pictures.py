@@ -14,7 +14,8 @@ from PIL import Image
 from mjcollect.envs.disturbed import DisturbedFlight, DisturbedFlights
 from mjcollect.envs.recording import Flight
 from mjcollect.render.camera import View
-from mjcollect.render.overlay import MOVING, WIND, Hud, draw_moving_box
+from mjcollect.render.film.overview import draw_moving_box
+from mjcollect.render.overlay import MOVING, WIND, Hud
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.time_figures import BLUE, RED
 from mjcollect.render.track_figures import plot_tracks

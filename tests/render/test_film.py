@@ -87,7 +87,7 @@ def test_insets_are_the_same_whichever_frames_are_left_out(fleet: FleetProgress)
     assert len(np.unique(reached, axis=0)) > 3
     trails = [(track.trail, track.colours) for track in tracks]
 
-    def still(counts: tuple[int, ...]) -> np.ndarray:
+    def still(_: View, counts: tuple[int, ...]) -> np.ndarray:
         return np.full((360, 640, 3), 40 + sum(counts), dtype=np.uint8)
 
     def pictures(part: int, parts: int) -> dict[int, np.ndarray]:
@@ -95,13 +95,15 @@ def test_insets_are_the_same_whichever_frames_are_left_out(fleet: FleetProgress)
         made = {}
         for frame in range(part, 60, parts):
             xs = np.array([track.x[frame] for track in tracks])
-            made[frame] = np.asarray(inset.picture(frame, still, xs))
+            middle = xs[0] + [40 * np.cos(frame), 40 * np.sin(frame), 10]
+            moving = [np.stack([middle - 5, middle + 5]), np.stack([xs[1] + 20, xs[1] + 30])]
+            made[frame] = np.array(inset.picture(frame, still, xs, moving[: frame % 3]))
         return made
 
     every = pictures(0, 1)
     assert every[0].shape == (*inset_size((640, 360))[::-1], 3)
     assert np.abs(every[30].astype(int) - every[0]).max() > 100
-    for parts in (2, 7):
+    for parts in (2, 7, 60):  # the last draws each picture whole
         for part in range(parts):
             for frame, picture in pictures(part, parts).items():
                 np.testing.assert_array_equal(picture, every[frame])

@@ -21,9 +21,10 @@ from straight_flights import fly
 from mjcollect.render import overlay
 from mjcollect.render.arrivals import progress
 from mjcollect.render.camera import View, framing
+from mjcollect.render.film.overview import Overview
 from mjcollect.render.fleet import FleetProgress, load_fleet
 from mjcollect.render.labels import name_all
-from mjcollect.render.overlay import Hud, Overview, speed_colours
+from mjcollect.render.overlay import Hud, speed_colours
 from mjcollect.render.settings import VideoSettings
 
 

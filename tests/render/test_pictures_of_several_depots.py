@@ -13,9 +13,10 @@ from straight_flights import fly
 
 from mjcollect.render.arrivals import progress
 from mjcollect.render.camera import framing
+from mjcollect.render.film.overview import Overview
 from mjcollect.render.fleet import FleetProgress, load_fleet
 from mjcollect.render.fleet_figures import plot_fleet_path_3d, plot_fleet_path_top
-from mjcollect.render.overlay import FLEET_DEPOT, Overview, node_look
+from mjcollect.render.overlay import FLEET_DEPOT, node_look
 from mjcollect.render.path_figures import plot_path_3d, plot_path_top
 from mjcollect.scene.mjcf import compile_model
 

@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 
 from mjcollect.render.camera import Picture, View, behind, chase_views, framing
 from mjcollect.render.film.inset import Inset, inset_size
+from mjcollect.render.film.overview import Overview, draw_moving_box
 from mjcollect.render.film.scene_renderer import Stage
 from mjcollect.render.film.track import Track
 from mjcollect.render.fleet import FleetProgress
@@ -26,8 +27,6 @@ from mjcollect.render.overlay import (
     Colour,
     FleetRow,
     Hud,
-    Overview,
-    draw_moving_box,
     on_panel,
     pill,
     uav_colour,
@@ -154,7 +153,7 @@ class Film:
         reached, time = self._reached(frame), float(self._t[frame])
         xs = np.array([track.x[frame] for track in self._tracks])
         moving = [box.box_at(time) for box in self._moving]
-        small = inset.picture(frame, partial(stage.still, self._wide), xs, moving)
+        small = inset.picture(frame, stage.still, xs, moving)
         stage.place(self._poses(frame), frame)
         points = self._last[frame].tolist()
         trails = [
@@ -166,14 +165,14 @@ class Film:
         self._instruments(image, draw, frame, reached)
         left, top = self._inset_place()
         right, bottom = left + inset.size[0] + 2, top + inset.size[1] + 2
-        draw.rectangle((left - 3, top - 3, right, bottom), WHITE)
+        draw.rectangle((left - 3, top - 3, right, bottom), None, WHITE, 3)
         image.paste(small, (left, top))
         return np.asarray(image)
 
     def _inset_place(self) -> tuple[int, int]:
         """Returns left and top of the inset in pixels."""
-        top = round(20 * self._settings.unit)
-        return self._settings.size[0] - inset_size(self._settings.size)[0] - top, top
+        width, unit = self._settings.size[0], self._settings.unit
+        return width - inset_size(self._settings.size)[0] - round(20 * unit), round(22 * unit)
 
     def _blocked_by_plates(self) -> list[Rectangle]:
         """Returns where instruments, inset and the like stand, which names keep out of."""
