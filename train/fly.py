@@ -55,7 +55,7 @@ from train.support.disturbed_mission import (
     judged,
     write_air,
 )
-from train.support.finished_run import finished_run, scene_difference
+from train.support.finished_run import finished_run
 from train.support.mission_report import finish, mission_result, write_mission
 from train.support.repair import fly_and_repair
 from train.support.run_folder import RunError, RunFolder, check_writable, default_folder
@@ -317,7 +317,7 @@ def check_same_fleet(args: Args, sharing: Sharing, seed: int) -> None:
     if args.seed not in (None, seed):
         raise RunError(f"--seed: {args.seed}: the run's is {seed}; leave it out with --run")
     other = None if args.scene is None else Scene.find(args.scene)
-    if other is not None and (difference := scene_difference(sharing.scene, other)):
+    if other is not None and (difference := sharing.scene.difference(other)):
         raise RunError(f"--scene: {args.scene}: is not the run's: {difference}; leave it out")
 
 

@@ -25,7 +25,7 @@ from mjcollect.scene.trajectory import Trajectory
 SPACING = 0.05  # Rows of a flight are at most so far apart in time (s), if its steps are shorter.
 COLUMNS = 8  # A row holds time, position, velocity, and the length flown so far.
 RAMP = 33  # The page's speed bar has so many colours.
-SHOWN = ("bounds", "depot", "more_depots", "items", "obstacles", "yaw", "no_fly")
+SHOWN = ("bounds", "depot", "more_depots", "items", "obstacles")  # keys of the scene file
 
 
 class ReplayError(ValueError):
@@ -43,7 +43,7 @@ def document(runs: Sequence[FlownRun], names: Sequence[str]) -> dict[str, Any]:
     """
     scene = runs[0].fleet.scene
     for run, name in zip(runs[1:], names[1:], strict=True):
-        if difference := scene_difference(scene, run.fleet.scene):
+        if difference := scene.difference(run.fleet.scene, SHOWN):
             raise ReplayError(
                 f"{name}: was flown in another scene than {names[0]}: {difference}; only runs of "
                 "one scene can be shown together"
@@ -63,17 +63,6 @@ def document(runs: Sequence[FlownRun], names: Sequence[str]) -> dict[str, Any]:
             "speed": [to_hex(rgb) for rgb in speed_colours(np.linspace(0, 1, RAMP), 1.0)],
         },
     }
-
-
-def scene_difference(one: Scene, two: Scene) -> str | None:
-    """Returns the first key in which what is drawn of two scenes differs, in words, or None."""
-    for key in SHOWN:
-        first, second = np.array(getattr(one, key)), np.array(getattr(two, key))
-        if first.shape != second.shape and key != "bounds":
-            return f"{key}: {len(second)} instead of {len(first)}"
-        if not np.array_equal(first, second):
-            return f"{key}: {second.tolist()} instead of {first.tolist()}"[:200]
-    return None
 
 
 def scene_part(scene: Scene) -> dict[str, Any]:

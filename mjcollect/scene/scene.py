@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -232,6 +233,27 @@ class Scene:
     def __eq__(self, other: object) -> bool:
         """Returns whether every field is equal."""
         return isinstance(other, Scene) and self.to_dict() == other.to_dict()
+
+    def difference(self, other: Scene, keys: Collection[str] | None = None) -> str | None:
+        """Returns the first key of the scene file in which another scene differs, or None.
+
+        Both values are named, as in "items[3] is [1, 2, 3], not [1, 2, 4]". If `keys` are given,
+        only they are compared.
+        """
+        first, second = self.to_dict(), other.to_dict()
+        for key in first | second:
+            own, its = first.get(key, []), second.get(key, [])
+            if own == its or (keys is not None and key not in keys):
+                continue
+            if not isinstance(own, list):
+                return f"{key} is {its}, not {own}"
+            if len(own) != len(its):
+                return f"{key} has {len(its)} entries, not {len(own)}"
+            index = next(
+                i for i, pair in enumerate(zip(own, its, strict=True)) if pair[0] != pair[1]
+            )
+            return f"{key}[{index}] is {its[index]}, not {own[index]}"
+        return None
 
     def __hash__(self) -> int:
         """Returns a hash that agrees with equality."""

@@ -21,7 +21,6 @@ from train.fly import main as fly
 from train.jobs.workers import Job
 from train.mission import _from_policy, _keep_best
 from train.mission import main as mission
-from train.support.finished_run import scene_difference
 from train.support.run_folder import RunFolder
 
 TINY = (  # noqa: SIM905 - reads like the command line
@@ -260,14 +259,15 @@ def test_fly_refuses_another_order_or_seed_than_the_run(finished, tmp_path, caps
     assert not (tmp_path / "out").exists()
 
 
-def test_scene_difference_finds_each_field():
+def test_the_difference_of_scenes_names_each_field():
     scene = Scene.find("scenario_1")
-    assert scene_difference(scene, Scene.find("scenario_1")) is None
+    assert scene.difference(Scene.find("scenario_1")) is None
     document = scene.to_dict()
     for field, value in document.items():
         if isinstance(value, int | float):
             other = Scene(**_arguments(document | {field: value * 1 + 1}, field))
-            assert scene_difference(scene, other).startswith(field)
+            assert scene.difference(other).startswith(field)
+            assert scene.difference(other, document.keys() - {field}) is None
 
 
 def _arguments(document, field):

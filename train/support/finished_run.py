@@ -34,7 +34,7 @@ def finished_run(
     others = [run.segment(k).path / "scene.json" for k in range(segments)]
     given = [("--scene", Scene.find(scene_name))] if scene_name is not None else []
     for name, other in given + [(str(path), Scene.load(path)) for path in others]:
-        if difference := scene_difference(scene, other):
+        if difference := scene.difference(other):
             raise RunError(
                 f"{name}: differs from {folder / 'scene.json'}, for which the run was trained: "
                 f"{difference}; train again for another scene"
@@ -46,20 +46,3 @@ def finished_run(
             f"--order: {own_order}: the run's is {list(order)} ({method}); leave it out with --run"
         )
     return scene, order, method, seed
-
-
-def scene_difference(one: Scene, two: Scene) -> str | None:
-    """Returns the first field in which two scenes differ with both values, or None."""
-    first, second = one.to_dict(), two.to_dict()
-    for field in first | second:
-        value, other = first.get(field, []), second.get(field, [])
-        if value == other:
-            continue
-        if isinstance(value, list) and len(value) == len(other):
-            pairs = zip(value, other, strict=True)
-            index, (a, b) = next((i, pair) for i, pair in enumerate(pairs) if pair[0] != pair[1])
-            return f"{field}[{index}] is {b}, not {a}"
-        if isinstance(value, list):
-            return f"{field} has {len(other)} entries, not {len(value)}"
-        return f"{field} is {other}, not {value}"
-    return None
