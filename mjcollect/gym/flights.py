@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from gymnasium.spaces import Box
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course, StartKind, check_start
+from mjcollect.envs.disturbed import CourseAir, is_disturbed
 from mjcollect.envs.dm_env import DEFAULT_SCENE, course_of
 from mjcollect.envs.episode import GAMMA, Outcome, Rules
+from mjcollect.flight.disturbance import Disturbance
 from mjcollect.geometry.compiled import Array, Indices
 from mjcollect.scene.scene import Scene
 
@@ -47,6 +50,7 @@ class Flights:
         gamma: float = GAMMA,
         shield: bool = True,
         start: StartKind = "point",
+        disturbance: Disturbance | Mapping[str, Any] | None = None,
         threads: int = 1,
         render_mode: str | None = None,
         size: tuple[int, int] = (640, 360),
@@ -64,12 +68,15 @@ class Flights:
                 `random`.
             observation, reward, gamma, shield: the rules of an episode, see `envs.episode.Rules`.
             start: kind of start states, as `Course.starts` takes it.
+            disturbance: how strong wind, gusts and the like are, as a `Disturbance` or the mapping
+                of its fields; each episode draws anew. Moving boxes of the scene always move.
             threads: number of MuJoCo's threads, on which the results do not depend.
             render_mode: None or `rgb_array`. size: width and height of pictures in pixels.
             task_kwargs: arguments of the task, for a segment its number `segment`.
 
         Raises:
-            ValueError: a name is unknown; the message lists the valid ones.
+            ValueError: a name is unknown, and the message lists the valid ones; or a disturbance is
+                out of range.
             SceneError: the scene is refused.
         """
         if render_mode not in (None, *RENDER_MODES):
@@ -80,8 +87,10 @@ class Flights:
         rules = Rules(observation, reward, gamma, shield)
         if course is None:
             course = course_of(task, scene, order=order, seed=order_seed, **task_kwargs)
-        self.course = course
-        self.simulations = Simulations([course], count, rules=rules, start=start, threads=threads)
+        self.course, self._air = course, _air(course, count, disturbance)
+        self.simulations = Simulations(
+            [course], count, rules=rules, start=start, threads=threads, disturbances=self._air
+        )
         self._all = np.arange(count)
         self._pictures = None if render_mode is None else _pictures(course, count, size)
         self._success = np.zeros(count, dtype=bool)
@@ -96,7 +105,7 @@ class Flights:
         """Begins episodes in the flights `which` (n,), or in all.
 
         Args:
-            rng: draws the starts.
+            rng: draws the starts and, until the next call, the air.
             state: mapping that may set all starts instead: `position` in m and `velocity` in m/s,
                 each (3,) or (N, 3); without a velocity they start at rest.
 
@@ -105,6 +114,8 @@ class Flights:
         """
         which = self._all if which is None else which
         self.simulations.rng = rng
+        if self._air is not None:
+            self._air.rng = rng
         if state:
             q, v = self._state(state)
             self.simulations.place(which, q[which], v[which])
@@ -168,13 +179,38 @@ class Flights:
         """
         assert self._pictures is not None
         reached: list[int] = (self.simulations.episodes.target + self._success).tolist()
-        return [self._pictures.take(index, count) for index, count in enumerate(reached)]
+        moving: list[Array] = [np.zeros((0, 2, 3))] * len(reached)
+        if self._air is not None:
+            movers = self._air.movers
+            moving = [
+                boxes[there] for boxes, there in zip(movers.boxes, movers.speed > 0.0, strict=True)
+            ]
+        return [self._pictures.take(k, count, moving[k]) for k, count in enumerate(reached)]
 
     def close(self) -> None:
         """Stops MuJoCo's threads and closes the renderer."""
         self.simulations.close()
         if self._pictures is not None:
             self._pictures.close()
+
+
+def _air(
+    course: Course, count: int, given: Disturbance | Mapping[str, Any] | None
+) -> CourseAir | None:
+    """Returns what disturbs the flights, if anything does."""
+    level = Disturbance()
+    if isinstance(given, Mapping):
+        names = [field.name for field in fields(Disturbance)]
+        if unknown := sorted(set(given) - set(names)):
+            raise ValueError(
+                f"disturbance: {', '.join(unknown)}: unknown; choose from {', '.join(names)}"
+            )
+        level = replace(level, **given)
+    elif given is not None:
+        level = given
+    if not is_disturbed(level) and not course.scene.moving:
+        return None
+    return CourseAir(course, level, count, np.random.default_rng(0))
 
 
 def _pictures(course: Course, count: int, size: tuple[int, int]) -> Pictures:

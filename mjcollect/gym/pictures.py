@@ -52,8 +52,10 @@ class Pictures:
         for flown, *moment in zip(self._flown, x.copy(), v.copy(), strict=True):
             flown.append(Moment(*moment))
 
-    def take(self, index: int, reached: int) -> Picture:
+    def take(self, index: int, reached: int, moving: Array) -> Picture:
         """Returns a picture (H, W, 3) uint8 of flight `index`, which reached so many targets.
+
+        The boxes `moving` (B, 2, 3) are where they are now.
 
         Raises:
             RenderError: there is no GL; the message says how to get it.
@@ -71,7 +73,7 @@ class Pictures:
         a = (v[-1] - v[-2]) / scene.slot if len(v) > 1 else np.zeros(3)
         stage.place([Pose(x[-1], a, float(heading[-1]))], len(x))
         colours = speed_colours(np.linalg.norm(v[1:], axis=1), scene.v_max)
-        return stage.chase(views[-1], (reached,), [(x, colours)], goal).copy()
+        return stage.chase(views[-1], (reached,), [(x, colours)], goal, list(moving)).copy()
 
     def _open(self) -> Stage:
         if self._stage is None:

@@ -230,7 +230,9 @@ warnings.simplefilter("error")
 warnings.filterwarnings("ignore", ".*Box observation space")
 import gymnasium, numpy as np
 from gymnasium.utils.env_checker import check_env
+from dataclasses import replace
 from mjcollect.envs.course import Course
+from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.scene import Scene
 course = Course.segment(Scene.load(sys.argv[1]), (0, 1), 1)
 options = {"course": course, "size": (160, 90)}
@@ -246,8 +248,19 @@ many = gymnasium.make_vec("mjcollect/Segment-v0", 2, render_mode="rgb_array", **
 many.reset()
 for _ in range(3):
     many.step(many.law())
-np.savez(sys.argv[2], shown=shown, many=many.render(), fps=env.metadata["render_fps"])
+box = MovingBox((20.0, 20.0, 20.0), ((75.0, 65.0, 15.0), (75.0, 66.0, 15.0)), 1.0)
+course = Course.segment(replace(course.scene, moving=(box,)), (0, 1), 1)
+among = gymnasium.make(
+    "mjcollect/Segment-v0", render_mode="rgb_array", course=course, size=(160, 90)
+)
+among.reset(options={"position": [75.0, 100.0, 15.0], "velocity": [0.0, -3.0, 0.0]})
+among.step(among.unwrapped.law().astype(np.float32))
+np.savez(
+    sys.argv[2], shown=shown, many=many.render(), fps=env.metadata["render_fps"],
+    among=among.render(),
+)
 many.close()
+among.close()
 """
 
 
@@ -260,7 +273,7 @@ def test_pictures_show_the_flight_where_there_is_gl(scene_file, tmp_path):
     found = tmp_path / "shown.npz"
     subprocess.run([*run, PICTURES, str(scene_file), str(found)], env=environment, check=True)
     with np.load(found) as file:
-        shown, many = file["shown"], file["many"]
+        shown, many, among = file["shown"], file["many"], file["among"].astype(int)
         assert file["fps"] == 5
     assert shown.dtype == np.uint8
     assert shown.shape == (4, 90, 160, 3)
@@ -269,6 +282,12 @@ def test_pictures_show_the_flight_where_there_is_gl(scene_file, tmp_path):
     assert many.shape == (2, 90, 160, 3)
     np.testing.assert_array_equal(many[0], shown[-1])  # The same flight is shown the same.
     np.testing.assert_array_equal(many[0], many[1])
+    violet = [
+        (pixels[..., 2] > 1.2 * pixels[..., 0]) & (pixels[..., 0] > 1.1 * pixels[..., 1])
+        for pixels in (among, shown[0].astype(int))
+    ]
+    assert violet[0].sum() > 20  # the moving box
+    assert not violet[1].any()
 
 
 def test_without_gl_a_picture_says_what_to_do(make, monkeypatch):
