@@ -66,8 +66,8 @@ def main(args: Args) -> list[float]:
         score = (flown["reward"].squeeze(-1) * first).sum(1)
         arrived = (flown["success"].squeeze(-1) & first).any(1)
 
-        elite = score.topk(args.candidates // 10).indices
-        mean, spread = weights[elite].mean(0), weights[elite].std(0) + 0.02
+        elite = score.topk(max(1, args.candidates // 10)).indices
+        mean, spread = weights[elite].mean(0), weights[elite].std(0, correction=0) + 0.02
         returns.append(float(score[elite].mean()))
         best = int(score.argmax())
         time = f"{int(first[best].sum()) * scene.slot:.1f} s" if arrived[best] else "-"

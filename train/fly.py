@@ -181,7 +181,7 @@ def fly_mission(args: Args) -> int:
         "shield": shield,
         **(weather.config() | {"explore": args.explore} if many else {}),
     }
-    folder.check(config, overwrite=args.overwrite)
+    folder.check(config, overwrite=args.overwrite, inputs=[args.run, args.policy])
     if args.guidance_cache is not None:
         check_writable(args.guidance_cache, "--guidance-cache")
     course = Course.mission(scene, order, args.guidance_cache)
@@ -279,7 +279,7 @@ def fly_fleet_mission(args: Args) -> int:
         "seed": seed,
         "shield": args.shield,
     }
-    folder.check(config, overwrite=args.overwrite)
+    folder.check(config, overwrite=args.overwrite, inputs=[args.run, args.policy])
     folder.create(config, scene, overwrite=args.overwrite)
     trained: Trained = [[None] * len(course.guidance) for course in sharing.courses]
     notes: list[str] = []

@@ -18,7 +18,7 @@ from typing import Literal
 
 from mjcollect.envs.course import Course
 from mjcollect.envs.recording import fly
-from mjcollect.learning.policy import NO_POLICY, SHIPPED, TrainedPolicy, policy_digest
+from mjcollect.learning.policy import NO_POLICY, OWN, SHIPPED, TrainedPolicy, policy_digest
 from mjcollect.scene.order import SHORTEST, order_label, plan_order
 from mjcollect.scene.place import check_place
 from mjcollect.scene.scene import Scene
@@ -103,7 +103,7 @@ def train_mission(args: Args) -> int:
     method = order_label(args.order) + ("-time" if cost is not None else "")
     config = _config(args, scene, {"order": list(order), "order_method": method})
     folder = _folder(args, scene, args.order)
-    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    folder.check(config, resume=args.resume, overwrite=args.overwrite, inputs=[args.policy])
     if args.resume and folder.read_json("mission.json") is not None:
         return _finish(folder, args, len(order) + 1)
     if args.resume:
@@ -173,7 +173,7 @@ def _train_fleet(args: Args, scene: Scene, policy: TrainedPolicy | None) -> int:
     sharing = share_scene(scene, args.uavs, args.seed)
     config = _config(args, scene, {"uavs": args.uavs, "tours": [list(t) for t in sharing.tours]})
     folder = _folder(args, scene, f"{args.uavs}uavs")
-    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    folder.check(config, resume=args.resume, overwrite=args.overwrite, inputs=[args.policy])
     if not (args.resume and folder.read_json("fleet.json") is not None):
         if args.resume:
             folder.check_scene(scene, args.scene)
@@ -233,10 +233,10 @@ def _check(args: Args) -> None:
     check_least(args, seed=0, uavs=1, workers=1, retries=0, checkpoint_every=1)
     check_device(args.device)
     check_logger(args.logger)
-    if args.ray is not None and args.policy not in (NO_POLICY, SHIPPED):
+    if args.ray is not None and args.policy not in (NO_POLICY, *OWN):
         raise RunError(
-            f"--policy: {args.policy}: the nodes of --ray have the policy `shipped` only; "
-            "leave one of the two out"
+            f"--policy: {args.policy}: the nodes of --ray have the package's own policies only, "
+            f"{' and '.join(map(str, OWN))}; leave one of the two out"
         )
 
 
@@ -309,7 +309,7 @@ def _from_policy(policy: Path, attempt: int) -> list[str]:
     """Returns a training's arguments for the policy to start from; retries start from nothing."""
     if policy == NO_POLICY or attempt > 0:
         return []
-    return ["--policy", str(policy if policy == SHIPPED else policy.resolve())]
+    return ["--policy", str(policy if policy in OWN else policy.resolve())]
 
 
 def _attempts(folder: RunFolder, index: int) -> list[Path]:

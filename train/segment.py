@@ -90,7 +90,7 @@ def train_segment(args: Args) -> int:
     }
     name = [f"segment{index}", *([args.preset] if args.preset else []), f"seed{args.seed}"]
     folder = RunFolder(args.out or default_folder("segment", scene.slug, *name))
-    folder.check(config, resume=args.resume, overwrite=args.overwrite)
+    folder.check(config, resume=args.resume, overwrite=args.overwrite, inputs=[args.policy])
     if args.resume and folder.read_json("segment.json") is not None:
         return _report(folder, args)
     if args.resume:

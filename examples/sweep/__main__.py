@@ -122,17 +122,27 @@ def try_settings(study: optuna.Study, crew: Crew, task: Task, args: Args) -> Non
 
 
 def open_study(folder: Path) -> optuna.Study:
-    """Opens or makes the study in the folder; trials that were interrupted are tried again."""
+    """Opens or makes the study in the folder; trials that were interrupted are tried again.
+
+    Raises:
+        RunError: the study's file is damaged.
+    """
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    journal = optuna.storages.journal.JournalFileBackend(str(folder / "study.journal"))
-    study = optuna.create_study(
-        storage=optuna.storages.JournalStorage(journal),
-        study_name="sweep",
-        pruner=optuna.pruners.MedianPruner(n_startup_trials=4, n_warmup_steps=WARM_UP),
-        load_if_exists=True,
-    )
+    path = folder / "study.journal"
+    journal = optuna.storages.journal.JournalFileBackend(str(path))
+    try:
+        study = optuna.create_study(
+            storage=optuna.storages.JournalStorage(journal),
+            study_name="sweep",
+            pruner=optuna.pruners.MedianPruner(n_startup_trials=4, n_warmup_steps=WARM_UP),
+            load_if_exists=True,
+        )
+    except ValueError as error:
+        raise RunError(
+            f"{path}: is damaged ({error}); remove the line, or start anew with --overwrite"
+        ) from None
     state = optuna.trial.TrialState
     for trial in study.get_trials(states=(state.RUNNING, state.WAITING)):
         study.tell(trial.number, state=state.FAIL)

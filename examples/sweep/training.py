@@ -8,7 +8,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from mjcollect.learning.trainer import segment_trainer
 from mjcollect.scene.bounds import segment_bound
 from mjcollect.scene.scene import Scene
 from train.jobs.processes import importing_pool
+from train.support.run_folder import RunError
 
 JUDGED = 1_000_000  # Policies are judged from starts of this seed, in which no training evaluates.
 NEVER_ARRIVED = 3.0  # A start without arrival counts as so many times the bound.
@@ -119,11 +120,18 @@ class Crew:
         self._lanes: list[Executor] = [importing_pool(1) for _ in range(jobs)]
 
     def each(self, call: Callable[..., Any], seeds: Sequence[int]) -> list[Any]:
-        """Returns call(seed) of every seed."""
-        futures = [
-            self._lanes[k % len(self._lanes)].submit(call, seed) for k, seed in enumerate(seeds)
-        ]
-        return [future.result() for future in futures]
+        """Returns call(seed) of every seed.
+
+        Raises:
+            RunError: a process was killed.
+        """
+        try:
+            futures = [
+                self._lanes[k % len(self._lanes)].submit(call, seed) for k, seed in enumerate(seeds)
+            ]
+            return [future.result() for future in futures]
+        except BrokenExecutor:
+            raise RunError("a training process was killed; go on with --resume") from None
 
     def close(self) -> None:
         """Ends the processes, when they are done with what they do now."""
@@ -150,7 +158,7 @@ def train(
         scores, successes = zip(*crew.each(judge, seeds), strict=True)
         return list(scores), float(np.mean(successes))
     finally:
-        with contextlib.suppress(RuntimeError):  # a process was killed
+        with contextlib.suppress(RunError):  # a process was killed
             crew.each(end, seeds)
 
 

@@ -145,7 +145,13 @@ class Simulations:
         self.episodes.reset(which, q, v)
 
     def step(self, action: Array) -> Outcome:
-        """Flies one slot with raw actions (N, 3) in units of a_max, and returns its outcome."""
+        """Flies one slot with raw actions (N, 3) in units of a_max, and returns its outcome.
+
+        Raises:
+            ValueError: the actions have another shape.
+        """
+        if np.shape(action) != (self.count, 3):
+            raise ValueError(f"action: shape {np.shape(action)}: must be ({self.count}, 3)")
         self.acceleration = self.episodes.begin_slot(action)
         disturbances, flown = self.episodes.disturbances, self.acceleration
         if disturbances is not None:

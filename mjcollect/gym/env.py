@@ -51,7 +51,7 @@ class FlightEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Flies one slot with an action (3,)."""
-        outcome = self.flights.step(action)
+        outcome = self.flights.step(np.asarray(action)[None])
         return (
             self.flights.observe()[0],
             float(outcome.reward[0]),

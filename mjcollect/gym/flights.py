@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mjcollect.render.camera import Picture
 
 RENDER_MODES = ("rgb_array",)
+LEAST, MOST = 16, 4096  # Pictures are so many pixels wide and high.
 STATE = ("position", "velocity")  # With these options of `reset`, the caller sets the start.
 Infos = dict[str, np.ndarray]
 
@@ -75,14 +76,16 @@ class Flights:
             task_kwargs: arguments of the task, for a segment its number `segment`.
 
         Raises:
-            ValueError: a name is unknown, and the message lists the valid ones; or a disturbance is
-                out of range.
+            ValueError: a name is unknown, and the message lists the valid ones; or a disturbance or
+                a size is out of range.
             SceneError: the scene is refused.
         """
         if render_mode not in (None, *RENDER_MODES):
             raise ValueError(
                 f"render_mode: {render_mode!r}: must be None or one of {', '.join(RENDER_MODES)}"
             )
+        if render_mode is not None and not all(LEAST <= side <= MOST for side in size):
+            raise ValueError(f"size: {size}: width and height must be {LEAST} to {MOST} pixels")
         check_start(start)
         rules = Rules(observation, reward, gamma, shield)
         if course is None:
@@ -135,15 +138,24 @@ class Flights:
             )
         values = []
         for name in STATE:
-            given = np.asarray(state.get(name, np.zeros(3)), dtype=np.float64)
-            if given.shape not in ((3,), (len(self._all), 3)) or not np.isfinite(given).all():
+            given = state.get(name, np.zeros(3))
+            try:
+                given = np.asarray(given, dtype=np.float64)
+                good = given.shape in ((3,), (len(self._all), 3)) and np.isfinite(given).all()
+            except (TypeError, ValueError):
+                good = False
+            if not good:
                 raise ValueError(f"{name}: {given}: must be three numbers, or three of each flight")
             values.append(np.broadcast_to(given, (len(self._all), 3)))
         return values[0], values[1]
 
     def step(self, action: Any) -> Outcome:
-        """Flies one slot with actions (N, 3)."""
-        outcome = self.simulations.step(np.asarray(action, np.float64).reshape(-1, 3))
+        """Flies one slot with actions (N, 3).
+
+        Raises:
+            ValueError: the actions have another shape.
+        """
+        outcome = self.simulations.step(np.asarray(action, np.float64))
         self._success = outcome.success.copy()
         if self._pictures is not None:
             episodes = self.simulations.episodes

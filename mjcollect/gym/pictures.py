@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 
 from mjcollect.envs.course import Course
 from mjcollect.geometry.compiled import Array, Indices
@@ -58,8 +59,11 @@ class Pictures:
         The boxes `moving` (B, 2, 3) are where they are now.
 
         Raises:
+            ResetNeeded: it has not begun, or the environment is closed.
             RenderError: there is no GL; the message says how to get it.
         """
+        if not self._flown[index]:
+            raise ResetNeeded("there is nothing to show: call reset() before render()")
         from mjcollect.render.flown_model import Pose
         from mjcollect.render.overlay import speed_colours
 
@@ -84,7 +88,9 @@ class Pictures:
         return self._stage
 
     def close(self) -> None:
-        """Closes the renderer."""
+        """Closes the renderer, and forgets all flights."""
+        for flown in self._flown:
+            flown.clear()
         if self._stage is not None:
             self._stage.close()
             self._stage = None

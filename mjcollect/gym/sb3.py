@@ -31,17 +31,32 @@ class FlightVecEnv(VecEnv):
         """Wraps `env`.
 
         Raises:
+            TypeError: it is anything else, as Gymnasium's wrappers are.
             ValueError: it does not reset in the same step.
         """
+        if not isinstance(env, FlightVectorEnv):
+            raise TypeError(
+                f"env: {env}: must be a FlightVectorEnv, as gymnasium.make_vec returns it; wrap it "
+                "in wrappers of Stable-Baselines3, such as VecMonitor"
+            )
         if env.autoreset_mode is not env.autoreset_mode.SAME_STEP:
             raise ValueError(f"autoreset_mode: {env.autoreset_mode}: must be SAME_STEP")
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Begins all episodes; the seed that `seed` was given is used once."""
-        observations, infos = self.env.reset(seed=self._seeds[0])
+        """Begins all episodes; what `seed` and `set_options` were given is used once.
+
+        Raises:
+            ValueError: only some flights were given an option.
+        """
+        names = sorted({name for options in self._options for name in options})
+        if any(sorted(options) != names for options in self._options):
+            raise ValueError(f"options: {names}: must be given to all flights or to none")
+        starts = {name: np.array([each[name] for each in self._options]) for name in names}
+        observations, infos = self.env.reset(seed=self._seeds[0], options=starts)
         self._reset_seeds()
+        self._reset_options()
         self.reset_infos = in_rows(infos)
         return observations
 
@@ -83,8 +98,13 @@ class FlightVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Calls a method of the environment, which answers for all flights at once."""
-        return [getattr(self.env, method_name)(*method_args, **method_kwargs)]
+        """Calls a method of the environment once, and returns its answer for each flight asked for.
+
+        An answer that is no array (N, ...) is the same for all.
+        """
+        answer = getattr(self.env, method_name)(*method_args, **method_kwargs)
+        each = isinstance(answer, np.ndarray) and answer.shape[:1] == (self.num_envs,)
+        return [answer[k] if each else answer for k in self._get_indices(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None

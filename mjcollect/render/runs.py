@@ -71,17 +71,28 @@ def load_run(folder: str | os.PathLike[str]) -> FlownRun:
             "folder of a finished run (python -m train.segment or train.mission makes one)"
         )
     try:
-        result = json.loads((folder / f"{kind}.json").read_text(encoding="utf-8"))
+        text = (folder / f"{kind}.json").read_text(encoding="utf-8")
+        result = json.loads(text, parse_constant=_refuse)
+        for violation in result.get("violations", []):
+            violation_text(violation)
         air = Air.load(folder / AIR_FILE) if (folder / AIR_FILE).is_file() else None
         fleet = load_fleet(folder) if kind == "fleet" else _single(folder, kind, result, air)
-        run = FlownRun(folder.resolve().name, kind, result, fleet, air)
-        _ = run.caption  # so that violations are as they should be
+        run = FlownRun(shown_name(folder.resolve().name), kind, result, fleet, air)
     except (OSError, SceneError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UnreadableRun(
             f"{folder}: not a readable run ({type(error).__name__}: {one_line(error)}); "
             "run the training or flight again"
         ) from None
     return run
+
+
+def _refuse(number: str) -> float:
+    raise ValueError(f"{number} is no number of JSON")
+
+
+def shown_name(name: str) -> str:
+    """Returns a file's name with replacement characters for what is no UTF-8."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def one_line(error: object) -> str:

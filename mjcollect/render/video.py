@@ -6,20 +6,26 @@ must run without GL, use `render_in_child`.
 
 from __future__ import annotations
 
+import fcntl
 import io
 import math
 import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from tqdm import tqdm
 
-from mjcollect.render.film.parallel import WorkerError, choose_processes, render_frames
+from mjcollect.render.film.parallel import (
+    WorkerError,
+    choose_processes,
+    deaf_children,
+    render_frames,
+)
 from mjcollect.render.runs import UnreadableRun, load_run, one_line
 from mjcollect.render.settings import VideoSettings
 
@@ -63,7 +69,7 @@ def render_run(
     Raises:
         RenderError: the folder is not a readable run, or no video could be made.
     """
-    folder = Path(folder)
+    folder = Path(folder).absolute()  # ffmpeg would take "a:b" for a protocol
     try:
         run = load_run(folder)
     except UnreadableRun as error:
@@ -82,27 +88,51 @@ def render_run(
     speed = max(1.0, math.ceil(4 * run.fleet.duration / LONGEST) / 4)
     settings = replace(settings or VideoSettings(), speed=speed, caption=run.caption)
     film = Film(run.fleet, settings, run.air)
-    path, part = folder / f"{run.kind}.mp4", folder / f".{run.kind}.part.mp4"
+    path, part = folder / f"{run.kind}.mp4", folder / f".part-{run.kind}.mp4"
     try:
-        with (
-            closing(render_frames(film, processes or choose_processes(len(film)))) as frames,
-            mediapy.VideoWriter(
-                part, settings.size[::-1], fps=settings.fps, crf=22, encoded_format="yuv420p",
-                ffmpeg_args=ENCODER,
-            ) as writer,
-        ):  # fmt: skip
-            bar = tqdm(frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True)
-            for frame in bar:
-                writer.add_image(frame)
-        os.replace(part, path)
+        with _kept(part):
+            with ExitStack() as stack:
+                many = processes or choose_processes(len(film))
+                frames = stack.enter_context(closing(render_frames(film, many)))
+                with deaf_children():  # ffmpeg: a film that Ctrl-C ends is no failure of its
+                    writer = stack.enter_context(
+                        mediapy.VideoWriter(
+                            part, settings.size[::-1], fps=settings.fps, crf=22,
+                            encoded_format="yuv420p", ffmpeg_args=ENCODER,
+                        )
+                    )  # fmt: skip
+                bar = tqdm(frames, total=len(film), desc=BAR, unit="frame", dynamic_ncols=True)
+                for frame in bar:
+                    writer.add_image(frame)
+            os.replace(part, path)
+    except RenderError:
+        raise
     except WorkerError as error:
         raise RenderError(f"{path}: {one_line(error)}; {LATER} {folder} --processes 1") from None
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: what ffmpeg said
         said = "".join(str(error).splitlines()[-1:])
         raise RenderError(f"{path}: cannot be written ({one_line(said)})") from None
-    finally:
-        part.unlink(missing_ok=True)
     return path
+
+
+@contextmanager
+def _kept(part: Path) -> Iterator[None]:
+    """Makes a file that no other process films into meanwhile, and that is gone at the end.
+
+    Raises:
+        RenderError: another process films into it.
+    """
+    with part.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RenderError(
+                f"{part.parent}: another process is filming it; wait for it"
+            ) from None
+        try:
+            yield
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def render_in_child(run_dir: str | os.PathLike[str]) -> str | None:

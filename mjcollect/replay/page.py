@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjcollect.render.runs import load_run
+from mjcollect.render.runs import load_run, shown_name
 from mjcollect.replay.payload import ReplayError, document
 
 FILE = "replay.html"  # What a run's own replay is called.
@@ -41,7 +41,7 @@ def write_replay(folders: Sequence[str | os.PathLike[str]], out: Path) -> None:
     """
     runs = [load_run(folder) for folder in folders]
     text = page(document(runs, distinct_names([Path(folder).resolve() for folder in folders])))
-    part = out.with_name(f".part-{out.name}")
+    part = out.with_name(f".part-{os.getpid()}-{out.name}")  # another process may write it too
     try:
         part.write_text(text, encoding="utf-8")
         os.replace(part, out)
@@ -56,7 +56,7 @@ def distinct_names(folders: Sequence[Path]) -> list[str]:
         ReplayError: a folder is named twice.
     """
     for depth in range(1, max(len(folder.parts) for folder in folders) + 1):
-        names = ["/".join(folder.parts[-depth:]) for folder in folders]
+        names = [shown_name("/".join(folder.parts[-depth:])) for folder in folders]
         if len(set(names)) == len(names):
             return names
     twice = next(folder for folder in folders if folders.count(folder) > 1)

@@ -135,6 +135,7 @@ def flight_part(fleet: FleetProgress, m: int, colour: str | None) -> dict[str, A
             {"node": _node(fleet, m, node), "t": t}
             for node, t in zip(flown.targets, [*times, *late], strict=True)
         ],
+        "duration": flown.trajectory.duration,  # Rows have it as float32, arrivals do not.
         "length": flown.trajectory.length,
         "shield": fleet.shielded[m].tolist(),
     }

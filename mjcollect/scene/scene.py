@@ -242,16 +242,16 @@ class Scene:
         """
         first, second = self.to_dict(), other.to_dict()
         for key in first | second:
-            own, its = first.get(key, []), second.get(key, [])
+            own, its = first.get(key), second.get(key)
             if own == its or (keys is not None and key not in keys):
                 continue
+            if own is None or its is None:
+                return f"{key} is {'left out' if its is None else its}, not {own or 'left out'}"
             if not isinstance(own, list):
                 return f"{key} is {its}, not {own}"
             if len(own) != len(its):
                 return f"{key} has {len(its)} entries, not {len(own)}"
-            index = next(
-                i for i, pair in enumerate(zip(own, its, strict=True)) if pair[0] != pair[1]
-            )
+            index = next(i for i in range(len(own)) if own[i] != its[i])
             return f"{key}[{index}] is {its[index]}, not {own[index]}"
         return None
 

@@ -62,9 +62,10 @@ def _read(folder: Path, scene: Scene | None) -> FlownRun:
         run = load_run(folder)
     except ValueError as error:
         raise ValueError(f"--run: {error}") from None
-    if scene is not None and scene.to_dict() != run.fleet.scene.to_dict():
+    if scene is not None and (difference := run.fleet.scene.difference(scene)):
         raise ValueError(
-            f"--scene: {scene.name}: is not the scene of the run {folder}; leave --scene out"
+            f"--scene: {scene.name}: is not the scene of the run {folder}: {difference}; "
+            "leave --scene out"
         )
     return run
 

@@ -5,6 +5,7 @@ Import this only where there is a display.
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -93,7 +94,8 @@ class _Flown:
         shown = FlownModel(fleet)
         self.model, self.data, self._shown = shown.model, shown.data, shown
         begin = fleet.flights[fleet.lead].trajectory.t[0]
-        self._t = begin + np.arange(int(fleet.duration * RATE) + 1) / RATE
+        steps = math.ceil(fleet.duration * RATE - 1e-9)
+        self._t = begin + np.minimum(np.arange(steps + 1) / RATE, fleet.duration)
         count = range(len(fleet.flights))
         self._tracks = [Track(fleet, m, self._t, 1 / RATE) for m in count]
         self._headings = [
@@ -135,7 +137,7 @@ class _Flown:
         ]
 
     def _frame(self, moment: float) -> int:
-        return min(int(moment * RATE), len(self._t) - 1)
+        return min(math.ceil(moment * RATE - 1e-9), len(self._t) - 1)
 
     def _reached(self, frame: int) -> list[int]:
         return [int(track.reached[frame]) for track in self._tracks]

@@ -7,12 +7,15 @@ Usage: python scripts/site/check.py SITE
 
 from __future__ import annotations
 
+import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-LOADED = {"script": "src", "img": "src", "iframe": "src", "video": "src", "source": "src"}
+LOADED = ("src", "poster", "data")  # Attributes whose address a browser loads, of any tag.
+LINKED = {"canonical", "alternate", "next", "prev", "author", "license"}  # `rel` that loads nothing
+URL = re.compile(r"""(?:url\(|@import)\s*["']?([^"')\s;]+)""")  # in style sheets
 
 
 class Page(HTMLParser):
@@ -32,15 +35,18 @@ class Page(HTMLParser):
         self.anchors |= {values[name] for name in ("id", "name") if name in values}
         if tag == "a" and "href" in values:
             self.links.append(values["href"])
-        if tag == "link" and values.get("rel") in ("stylesheet", "icon", "preload"):
+        if tag == "link" and not LINKED & set(values.get("rel", "").split()):
             self.loads.append(values["href"])
-        if tag in LOADED and LOADED[tag] in values:
-            self.loads.append(values[LOADED[tag]])
+        self.loads += [values[name] for name in LOADED if values.get(name)]
+        self.loads += [part.split()[0] for part in values.get("srcset", "").split(",") if part]
+        self.loads += URL.findall(values.get("style", ""))
 
 
 def faults(site: Path) -> list[str]:
     """Returns one line for each broken link of the pages below `site`."""
     files = sorted(site.rglob("*.html"))
+    if not files:
+        return [f"{site}: holds no page; build the site first"]
     pages = {file.resolve(): Page(file.read_text(encoding="utf-8")) for file in files}
     found = []
     for file, page in pages.items():

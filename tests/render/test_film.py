@@ -178,6 +178,8 @@ def test_processes_end_with_the_one_that_started_them(blow: signal.Signals) -> N
         else:
             program.kill()
         program.wait(60)
+        assert program.stderr is not None
+        assert "SpawnProcess" not in program.stderr.read()
     deadline = time.monotonic() + 60
     while any(Path(f"/proc/{pid}").exists() for pid in workers):
         assert time.monotonic() < deadline
@@ -214,4 +216,23 @@ def test_a_video_is_the_same_from_any_number_of_processes(folder: Path) -> None:
     films = [(folder / f"{processes}.mp4").read_bytes() for processes in (1, 2)]
     assert len(films[0]) > 10_000
     assert films[0] == films[1]
+    assert not list(folder.glob(".*"))
+    # Two at once: the second is told. Ctrl-C, which all processes get, ends the first in peace.
+    command = [sys.executable, "-m", "mjcollect.render", "--run", str(folder), "--processes", "2"]
+    with subprocess.Popen(
+        command, env=environment, text=True, stderr=subprocess.PIPE, start_new_session=True
+    ) as program:
+        assert program.stderr is not None
+        said = program.stderr.read(1)
+        while not list(folder.glob(".part-*")):
+            time.sleep(0.01)
+        second = subprocess.run(
+            [*command[:-1], "1"], env=environment, text=True, capture_output=True, check=False
+        )
+        os.killpg(program.pid, signal.SIGINT)
+        said += program.stderr.read()
+    assert program.returncode == 130, said
+    assert "Traceback" not in said
+    assert second.returncode == 1
+    assert "another process is filming it" in second.stderr
     assert not list(folder.glob(".*"))

@@ -39,7 +39,7 @@ RUN_FILES = (
     "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
     "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
     "tracks.png", "air.json", "fleet.json", "fleet.mp4", "schedule.png", "uavs", "replay.html",
-    "logs",
+    "logs", "mission.plan", "mission.kml", "mission.geojson",
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # A folder holds these before config.json.
 MEND = "put the file back as it was written, or start anew with --overwrite"
@@ -84,21 +84,32 @@ class RunFolder:
         """Returns the folder of a mission's segment."""
         return RunFolder(self.path / "segments" / str(index))
 
-    def check(self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool) -> None:
+    def check(
+        self, config: dict[str, Any], *, resume: bool | None = None, overwrite: bool,
+        inputs: Sequence[Path | None] = (),
+    ) -> None:  # fmt: skip
         """Refuses an unusable folder before any work.
 
         Args:
             resume: whether to go on with what is there; None where the program cannot.
+            inputs: what the program reads, which --overwrite must not remove.
 
         Raises:
             RunError: It is no folder, not empty without --resume or --overwrite, not writable,
-                written to by another process, or to be resumed with other settings.
+                written to by another process, to be resumed with other settings, or to be
+                overwritten with an input in it.
         """
         if resume and overwrite:
             raise RunError("--resume and --overwrite exclude each other: give one of them")
         if os.path.exists(self.path) and not os.path.isdir(self.path):
             raise RunError(f"--out: {self.path}: is a file; name a folder")
         check_writable(self.path, "--out")
+        for path in inputs if overwrite else ():
+            if path is not None and path.exists() and _holds(self.path, path):
+                raise RunError(
+                    f"--overwrite: {path} is in --out {self.path}, whose files would be removed; "
+                    "copy it elsewhere, or name another --out"
+                )
         if self.path.is_dir():
             self.lock()  # Who writes there is told at once, not after the work before `create`.
             self.unlock()
@@ -160,7 +171,9 @@ class RunFolder:
                 remove(target)
         if scene is not None:
             self.write("scene.json", scene.save)
-        self.write_text("command.txt", shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n")
+        # Arguments may be names of files that are no text; they come back as the same bytes.
+        command = shlex.join([sys.executable, *sys.orig_argv[1:]]) + "\n"
+        self.write("command.txt", lambda part: part.write_bytes(os.fsencode(command)))
         self.write_json("config.json", config)
 
     def lock(self) -> None:
@@ -300,9 +313,14 @@ def _holder(descriptor: int) -> str:
     return "another process"
 
 
+def _holds(folder: Path, path: Path) -> bool:
+    """Returns whether a path is a folder or lies in it, wherever links lead."""
+    return path.resolve().is_relative_to(folder.resolve())
+
+
 def remove(path: Path) -> None:
-    """Removes a file, or a folder with all that is in it."""
-    if path.is_dir():
+    """Removes a file, a link, or a folder with all that is in it."""
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink()

@@ -14,6 +14,7 @@ import signal
 import sys
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -75,6 +76,16 @@ def render_frames(film: Film, processes: int) -> Generator[Picture]:
 
 
 @contextmanager
+def deaf_children() -> Iterator[None]:
+    """Has the processes that are started meanwhile leave Ctrl-C to this one."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@contextmanager
 def _as_parent() -> Iterator[None]:
     """Has the processes that are started meanwhile leave Ctrl-C to this one, and suit each other.
 
@@ -82,16 +93,17 @@ def _as_parent() -> Iterator[None]:
     """
     main = sys.modules["__main__"]
     given = os.environ.get(THREADS)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        sys.modules["__main__"] = ModuleType("__main__")
-        os.environ.setdefault(THREADS, "0")
-        yield
-    finally:
-        if given is None:
-            os.environ.pop(THREADS, None)
-        sys.modules["__main__"] = main
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    # It starts with the first process otherwise, and lets signals through again then.
+    resource_tracker.ensure_running()
+    with deaf_children():
+        try:
+            sys.modules["__main__"] = ModuleType("__main__")
+            os.environ.setdefault(THREADS, "0")
+            yield
+        finally:
+            if given is None:
+                os.environ.pop(THREADS, None)
+            sys.modules["__main__"] = main
 
 
 class _Worker:

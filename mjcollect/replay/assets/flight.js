@@ -10,13 +10,11 @@ const COLUMNS = 8; // time, position, velocity, length flown so far
 
 /** One UAV's flight. Times are in s, lengths in m. */
 class Flight {
-  constructor(part, run, index) {
+  constructor(part, run) {
     Object.assign(this, part);
     this.run = run;
-    this.index = index;
     this.rows = decode(part.rows);
     this.count = this.rows.length / COLUMNS;
-    this.duration = this.rows[(this.count - 1) * COLUMNS];
     this.colour = part.colour ?? run.colour;
     this.speeds = new Float32Array(this.count);
     for (let k = 0; k < this.count; k++) {
@@ -37,7 +35,7 @@ class Flight {
     return low;
   }
 
-  /** Puts the state at a time into `state`: x, v, a (arrays of 3), speed, length, heading, tilt. */
+  /** Puts the state at a time into `state`: x, v (arrays of 3), speed, length, heading, tilt. */
   at(t, state) {
     const k = this.rowAt(t), one = k * COLUMNS, two = Math.min(k + 1, this.count - 1) * COLUMNS;
     const rows = this.rows, step = rows[two] - rows[one];
@@ -50,7 +48,6 @@ class Flight {
       state.x[axis] = (2 * u3 - 3 * u2 + 1) * x0 + (3 * u2 - 2 * u3) * x1 +
         step * ((u3 - 2 * u2 + u) * v0 + (u3 - u2) * v1);
       state.v[axis] = v0 + u * (v1 - v0);
-      state.a[axis] = step > 0 && t < this.duration ? (v1 - v0) / step : 0;
     }
     state.speed = this.speeds[k] + u * (this.speeds[Math.min(k + 1, this.count - 1)] - this.speeds[k]);
     state.length = rows[one + 7] + u * (rows[two + 7] - rows[one + 7]);
@@ -63,7 +60,7 @@ class Flight {
   /** Finds headings and angles of climb (rad), smooth and known before they are needed. */
   findCourse() {
     const headings = new Float64Array(this.count), climbs = new Float64Array(this.count);
-    const least = 1e-3 * Math.max(...this.speeds, 1e-9);
+    const least = 1e-3 * this.speeds.reduce((fastest, speed) => Math.max(fastest, speed), 1e-9);
     let first = -1;
     for (let k = 0; k < this.count; k++) {
       const at = k * COLUMNS, vx = this.rows[at + 4], vy = this.rows[at + 5];
@@ -123,7 +120,7 @@ function smoothed(values, sigma) {
 }
 
 function freshState() {
-  return { x: [0, 0, 0], v: [0, 0, 0], a: [0, 0, 0], speed: 0, length: 0, heading: 0, climb: 0 };
+  return { x: [0, 0, 0], v: [0, 0, 0], speed: 0, length: 0, heading: 0, climb: 0 };
 }
 
 /** Puts the centre of a box that moves to and fro along its path into `to`; see scene/moving.py. */

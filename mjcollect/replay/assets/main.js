@@ -14,7 +14,7 @@ function start() {
   const three = new THREE.Scene(), { colours } = replay;
   const world = new World(replay.scene, colours, three);
   const flights = replay.runs.flatMap((run) => run.flights.map((part) => [part, run]));
-  const uavs = flights.map(([part, run], k) => new Uav(new Flight(part, run, k), world, colours.speed));
+  const uavs = flights.map(([part, run], k) => new Uav(new Flight(part, run), world, colours.speed));
   const fleets = replay.runs.some((run) => run.flights[0].name !== null);
   uavs.forEach((uav, k) => {
     uav.index = k;
@@ -204,6 +204,7 @@ function start() {
   };
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+    if (event.key === " " && event.target.tagName === "BUTTON") return; // It presses the button.
     const arrow = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     const action = arrow ? () => act.seek(state.t + arrow * (event.shiftKey ? 5 : 1))
       : keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];

@@ -27,6 +27,7 @@ function verdict(run, best) {
 class Panel {
   constructor(replay, uavs, colours, follow) {
     this.uavs = uavs;
+    this.several = replay.runs.length > 1;
     const { scene, runs } = replay;
     setText(find("scene-name"), runs.length === 1 ? runs[0].name : scene.name);
     setText(find("subtitle"), runs.length === 1 ? this.subtitle(scene, runs[0]) : `${runs.length} runs compared`);
@@ -40,7 +41,6 @@ class Panel {
     }
     this.colours = colours;
     this.scene = scene;
-    this.legend(uavs.length === 1 || runs.length === 1);
   }
 
   subtitle(scene, run) {
@@ -77,7 +77,7 @@ class Panel {
     speeds.append(speed, " m/s");
     lengths.append(length, " m");
     read.append(speeds, lengths, shield);
-    row.append(chip, make("span", "name", flight.name ?? (best === null ? "UAV" : run.name)), result, read, goal);
+    row.append(chip, make("span", "name", flight.name ?? (this.several ? run.name : "UAV")), result, read, goal);
     row.addEventListener("click", () => follow(uav.index));
     uav.row = { row, speed, length, goal, shield };
     return row;
