@@ -24,6 +24,11 @@ FAULTS = runpy.run_path(str(Path(__file__).parents[1] / "scripts/site/check.py")
         ('<script src="https://example.org/x.js"></script>', "is loaded from the network"),
         ('<link rel="stylesheet" href="//example.org/x.css">', "is loaded from the network"),
         ('<a href="https:///page">x</a>', "has no host"),
+        ('<link rel="canonical" href="https://example.org/page">', None),
+        ('<link rel="shortcut icon" href="https://example.org/x.ico">', "loaded from the network"),
+        ('<audio src="https://example.org/x.ogg"></audio>', "loaded from the network"),
+        ('<p style="background: url(https://example.org/x.png)">x</p>', "loaded from the network"),
+        ('<img srcset="https://example.org/x.png 2x" src="sub/picture.png">', "from the network"),
         ('<a href="http://[page">x</a>', "is no address"),
     ],
 )
@@ -37,3 +42,7 @@ def test_a_link_is_followed_to_its_file_and_anchor(
     found = FAULTS(tmp_path)
     assert len(found) == (0 if fault is None else 1), found
     assert fault is None or (found[0].startswith("index.html: ") and fault in found[0])
+
+
+def test_a_site_without_pages_is_a_fault(tmp_path: Path) -> None:
+    assert "holds no page" in FAULTS(tmp_path / "nowhere")[0]

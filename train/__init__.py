@@ -1,6 +1,7 @@
 """Command line programs: train a segment, train a mission, fly. Each reads top to bottom."""
 
 import os
+import sys
 import warnings
 
 # One thread per process for the linear algebra: parallelism comes from MuJoCo's threads and from
@@ -10,3 +11,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL's notes on storages
 # dm_control looks for a display when it is imported and warns if there is none.
 warnings.filterwarnings("ignore", message=".*DISPLAY environment variable is missing.*")
+# Who flies needs no GL, but MuJoCo refuses to be imported with a backend that it does not know.
+BACKENDS = (
+    "", "glfw", "glx", "egl", "osmesa", "enable", "enabled", "on", "true", "1",
+    "disable", "disabled", "off", "false", "0",
+)  # fmt: skip
+if os.environ.get("MUJOCO_GL", "").lower().strip() not in BACKENDS:
+    print(
+        f"error: MUJOCO_GL: {os.environ['MUJOCO_GL']}: must be egl, osmesa, glfw or disable; or "
+        "unset it",
+        file=sys.stderr,
+    )
+    raise SystemExit(2)

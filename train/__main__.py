@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import sys
 
 PROGRAMS = {
@@ -27,7 +28,10 @@ def main(argv: list[str] | None = None) -> int:
     """Runs a program by its name; returns its exit code, or 2 if there is no such program."""
     given = sys.argv[1:] if argv is None else argv
     if not given or given[0] not in PROGRAMS:
-        asked = bool(given) and given[0] in ("-h", "--help")
+        if given == ["--version"]:
+            print(importlib.metadata.version("mjcollect"))
+            return 0
+        asked = bool(given) and given[0] in ("-h", "--help", "help")
         names = ", ".join(PROGRAMS)
         said = f"usage: mjcollect PROGRAM [...]; mjcollect PROGRAM --help\nprograms: {names}"
         wrong = f"error: program: {given[0]!r}: must be one of {names}" if given else said

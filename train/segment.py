@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -215,7 +214,7 @@ def _report(folder: RunFolder, args: Args) -> int:
         write_replay(folder)
     if args.video:
         film(folder.path / "segment.mp4")
-    where = f"{_legend(result['order'], result['segment'])}, {os.path.relpath(folder.path)}"
+    where = f"{_legend(result['order'], result['segment'])}, {folder.path}"
     if result["success"]:
         ratio = "" if result["ratio"] is None else f" ({result['ratio']:.3f} of the lower bound)"
         print(

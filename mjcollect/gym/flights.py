@@ -16,6 +16,7 @@ from mjcollect.envs.disturbed import CourseAir, is_disturbed
 from mjcollect.envs.dm_env import DEFAULT_SCENE, course_of
 from mjcollect.envs.episode import GAMMA, Outcome, Rules
 from mjcollect.flight.disturbance import Disturbance
+from mjcollect.geometry.boxes import point_box_distance
 from mjcollect.geometry.compiled import Array, Indices
 from mjcollect.scene.scene import Scene
 
@@ -113,7 +114,8 @@ class Flights:
                 each (3,) or (N, 3); without a velocity they start at rest.
 
         Raises:
-            ValueError: the mapping holds anything else, or an array of another shape.
+            ValueError: the mapping holds anything else, or an array of another shape; or a start is
+                out of bounds, at a box, or too fast.
         """
         which = self._all if which is None else which
         self.simulations.rng = rng
@@ -147,7 +149,18 @@ class Flights:
             if not good:
                 raise ValueError(f"{name}: {given}: must be three numbers, or three of each flight")
             values.append(np.broadcast_to(given, (len(self._all), 3)))
-        return values[0], values[1]
+        scene, (q, v) = self.course.scene, values
+        out = np.any((q < scene.bounds[0]) | (q > scene.bounds[1]), axis=1)
+        struck = np.any(point_box_distance(q[:, None], scene.boxes) < scene.reach, axis=1)
+        fast = np.linalg.norm(v, axis=1) > scene.v_max * (1 + 1e-6)
+        for name, given, wrong, fix in (
+            ("position", q, out, "is out of bounds"),
+            ("position", q, struck, "is in or too near to a box"),
+            ("velocity", v, fast, f"is beyond v_max, {scene.v_max:g} m/s"),
+        ):
+            if wrong.any():
+                raise ValueError(f"{name}: {given[wrong.argmax()].tolist()}: {fix}; choose another")
+        return q, v
 
     def step(self, action: Any) -> Outcome:
         """Flies one slot with actions (N, 3).

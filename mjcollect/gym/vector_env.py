@@ -46,12 +46,18 @@ class FlightVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Builds the course, once for all; further options are those of `Flights`.
 
         Args:
-            num_envs: N. autoreset_mode: one of Gymnasium's modes, or its value such as `SameStep`.
+            num_envs: N.
+            autoreset_mode: one of Gymnasium's modes, its name, or its value such as `SameStep`.
         """
         if num_envs < 1:
             raise ValueError(f"num_envs: {num_envs}: must be at least 1")
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        named = AutoresetMode.__members__.get(str(autoreset_mode))
+        try:
+            self.autoreset_mode = named or AutoresetMode(autoreset_mode)
+        except ValueError:
+            names = ", ".join(AutoresetMode.__members__)
+            raise ValueError(f"autoreset_mode: {autoreset_mode}: must be one of {names}") from None
         self.flights = Flights(
             num_envs, task=task, render_mode=render_mode, threads=threads, **options
         )

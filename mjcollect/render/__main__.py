@@ -10,12 +10,13 @@ import threading
 import time
 from collections.abc import Sequence
 
+from mjcollect.render.runs import UnreadableRun
 from mjcollect.render.settings import VideoSettings
 from mjcollect.render.video import PARENT, RenderError, gl_environment, render_run
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the command line; returns 0, 1 (no GL or ffmpeg, bad run) or 130 (Ctrl-C)."""
+    """Runs the command line; returns 0, 1 (no GL or ffmpeg), 2 (bad run) or 130 (Ctrl-C)."""
     parser = argparse.ArgumentParser(prog="python -m mjcollect.render", description=__doc__)
     parser.add_argument("--run", required=True, metavar="DIR", help="folder of a finished run")
     smooth = "samples per pixel (0); 4 smooth edges, at more than twice the time in software"
@@ -31,6 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         path = render_run(
             arguments.run, VideoSettings(samples=arguments.samples), arguments.processes
         )
+    except UnreadableRun as error:
+        print(f"error: --run: {error}", file=sys.stderr)
+        return 2
     except RenderError as error:
         print(error, file=sys.stderr)
         return 1

@@ -19,6 +19,7 @@ from mjcollect.render.overlay import (
     font,
     ink,
     node_look,
+    panel,
     pill,
     uav_colour,
     write,
@@ -232,7 +233,7 @@ def _uav_plate(
     (u, v), letters = centre, font(pixels, True)
     wide, high = _plate_width(group, pixels) / 2, 0.85 * pixels
     plate = (u - wide, v - high, u + wide, v + high)
-    draw.rounded_rectangle(plate, high, PANEL, WHITE, max(1, pixels // 9))
+    panel(draw, plate, high, PANEL, WHITE, max(1, pixels // 9))
     left = u - wide + 0.6 * pixels
     write(draw, (left, v), "UAV", WHITE, letters)
     left += letters.getlength("UAV ")

@@ -81,6 +81,15 @@ def _shape(
     return (left, top), shape
 
 
+def panel(
+    draw: ImageDraw.ImageDraw, box: Sequence[float], radius: float, fill: Colour = PANEL,
+    rim: Colour | None = None, width: int = 1,
+) -> None:  # fmt: skip
+    """Draws a plate with round corners at whole pixels: between them its parts would overlap."""
+    left, top, right, bottom = map(round, box)
+    draw.rounded_rectangle((left, top, right, bottom), round(radius), fill, rim, width)
+
+
 class Look(NamedTuple):
     """Says how a node is drawn.
 
@@ -153,7 +162,7 @@ def pill(
     half = draw.textlength(text, letters) / 2 + 0.6 * pixels
     x, y = centre
     box = (x - half, y - 0.85 * pixels, x + half, y + 0.85 * pixels)
-    draw.rounded_rectangle(box, 0.85 * pixels, fill, colour, max(1, pixels // 9))
+    panel(draw, box, 0.85 * pixels, fill, colour, max(1, pixels // 9))
     write(draw, (x, y), text, ink(fill), letters, "mm")
 
 
@@ -194,8 +203,7 @@ class Hud:
         """
         draw = ImageDraw.Draw(image, "RGBA")
         u, top = self._unit, self._height - 176 * self._unit
-        panel = (20 * u, top, 388 * u, self._height - 20 * u)
-        draw.rounded_rectangle(panel, 10 * u, PANEL)
+        panel(draw, (20 * u, top, 388 * u, self._height - 20 * u), 10 * u)
         left, right, small = 36 * u, 372 * u, font(17 * u)
         limit = self._scene.v_max
         for x, down, text, colour, letters in (
@@ -227,7 +235,7 @@ class Hud:
         """
         u, draw = self._unit, ImageDraw.Draw(image, "RGBA")
         left, top = 408 * u, self._height - 176 * u
-        draw.rounded_rectangle((left, top, left + 168 * u, self._height - 20 * u), 10 * u, PANEL)
+        panel(draw, (left, top, left + 168 * u, self._height - 20 * u), 10 * u)
         level = float(np.hypot(push[0], push[1]))
         forward = view.axes[2, :2] / max(float(np.linalg.norm(view.axes[2, :2])), 1e-9)
         along = push[:2] @ forward
@@ -257,7 +265,7 @@ class Hud:
         u, draw = self._unit, ImageDraw.Draw(image, "RGBA")
         right, bottom = self._settings.size[0] - 20 * u, self._height - 20 * u
         left, top, step = self.fleet_place(len(rows))
-        draw.rounded_rectangle((left, top, right, bottom), 10 * u, PANEL)
+        panel(draw, (left, top, right, bottom), 10 * u)
         letters = font(0.62 * step)
         for k, row in enumerate(rows):
             y, chip = top + 10 * u + (k + 0.5) * step, 0.30 * step
@@ -300,6 +308,6 @@ class Hud:
             rows.append((y, fitted(text, letters, room), colour, letters))
         width = max(letters.getlength(text) for _, text, _, letters in rows)
         bottom = 20 * u + (42 + 34 * len(lines)) * u
-        draw.rounded_rectangle((20 * u, 20 * u, 68 * u + width, bottom), 12 * u, PANEL)
+        panel(draw, (20 * u, 20 * u, 68 * u + width, bottom), 12 * u)
         for y, text, colour, letters in rows:
             write(draw, (44 * u, y), text, colour, letters)

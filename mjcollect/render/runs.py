@@ -68,7 +68,7 @@ def load_run(folder: str | os.PathLike[str]) -> FlownRun:
     if kind is None:
         raise UnreadableRun(
             f"{folder}: holds neither segment.json nor mission.json nor fleet.json; name the "
-            "folder of a finished run (python -m train.segment or train.mission makes one)"
+            "folder of a finished run, as train.segment, train.mission and train.fly make it"
         )
     try:
         text = (folder / f"{kind}.json").read_text(encoding="utf-8")

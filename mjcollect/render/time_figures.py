@@ -144,6 +144,7 @@ def plot_learning(
         axes.set_ylabel(label, **LABEL)
     bottom = 0.07
     if "segment" in columns:
+        grid[0, 1].set_ylabel("success, evaluation", **LABEL)
         numbers = np.unique(columns["segment"])
         shades = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, len(numbers)))
         for number, shade in zip(numbers, shades, strict=True):

@@ -26,7 +26,7 @@ from mjcollect.render.film.parallel import (
     deaf_children,
     render_frames,
 )
-from mjcollect.render.runs import UnreadableRun, load_run, one_line
+from mjcollect.render.runs import load_run, one_line
 from mjcollect.render.settings import VideoSettings
 
 LONGEST = 60.0  # A longer flight is sped up to a video of about this length (s).
@@ -67,13 +67,11 @@ def render_run(
         The video's path, whose file is replaced in one step when the video is complete.
 
     Raises:
-        RenderError: the folder is not a readable run, or no video could be made.
+        UnreadableRun: the folder is not a readable run.
+        RenderError: no video could be made.
     """
     folder = Path(folder).absolute()  # ffmpeg would take "a:b" for a protocol
-    try:
-        run = load_run(folder)
-    except UnreadableRun as error:
-        raise RenderError(str(error)) from None
+    run = load_run(folder)
     import imageio_ffmpeg
     import mediapy
 

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from mjcollect.scene.assets import asset_path
+
 _MAX_DIGITS = 300  # Longer integers are read as floats, see `_integer`.
 Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -72,6 +74,10 @@ class _SceneFile(BaseModel):
     origin: _Origin | None = None
 
 
+def _bundled() -> str:
+    return ", ".join(sorted(file.stem for file in asset_path("scenes").glob("*.json")))
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """Returns the text of a scene file.
 
@@ -87,7 +93,8 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise SceneError(
             "scene file",
             str(path),
-            "does not exist; check the path, or make one with python -m mjcollect.generate",
+            f"does not exist; check the path, name a bundled scene ({_bundled()}), or make "
+            "one with python -m mjcollect.generate",
         ) from None
     except UnicodeDecodeError:
         raise SceneError("scene file", str(path), "is not UTF-8 text; save it as such") from None
@@ -96,8 +103,10 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise SceneError("scene file", str(path), f"cannot be read: {reason}; check it") from None
 
 
-def parse(text: str) -> dict[str, Any]:
+def parse(text: str, path: str | None = None) -> dict[str, Any]:
     """Returns the fields of a scene from JSON text, types checked and boxes as [min, max].
+
+    Messages name the file's `path`, if there is one, where the text is no JSON.
 
     Raises:
         SceneError: the text is not JSON, or a key is missing, unknown, repeated or of a wrong type.
@@ -105,9 +114,10 @@ def parse(text: str) -> dict[str, Any]:
     try:
         document = json.loads(text, object_pairs_hook=_no_twice, parse_int=_integer)
     except json.JSONDecodeError as error:
+        near = text[max(0, error.pos - 20) : error.pos + 20]
         raise SceneError(
             "scene file",
-            text[max(0, error.pos - 20) : error.pos + 20],
+            near if path is None else f"{path}: {near}",
             f"is not valid JSON at line {error.lineno} column {error.colno} ({error.msg}); "
             "complete or correct it",
         ) from None

@@ -180,12 +180,12 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scene:
-        """Reads a scene file.
+        """Reads a scene file; `find` also takes the name of a bundled scene.
 
         Raises:
             SceneError: the file is unreadable, is not a scene, or the scene is refused.
         """
-        return cls.from_json(read_text(path))
+        return cls(**parse(read_text(path), str(path)))
 
     @classmethod
     def find(cls, name: str | os.PathLike[str]) -> Scene:

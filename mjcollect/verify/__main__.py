@@ -24,7 +24,7 @@ def main(argv: list[str] | None = None) -> int:
         fleet = (args.run / "fleet.json").is_file()
         found = verify_fleet(args.run) if fleet else verify_run(args.run)
     except (OSError, SceneError, ValueError, LookupError, TypeError, AttributeError) as error:
-        print(f"error: {args.run}: holds no finished run ({error})", file=sys.stderr)
+        print(f"error: {args.run}: cannot be judged: {error}", file=sys.stderr)
         return 2
     for each in found:
         if isinstance(each, Encounter):
@@ -37,7 +37,8 @@ def main(argv: list[str] | None = None) -> int:
         value = "no number" if each.value is None else f"{each.value:.6g}"
         where = f"at {each.t:.2f} s in segment {each.segment}"
         print(f"{each.kind}: {value} {where}, limit {each.limit:.6g}")
-    print(f"{len(found)} rules broken" if found else "no rule is broken")
+    broken = f"{len(found)} rule{'s' if len(found) > 1 else ''} broken"
+    print(broken if found else "no rule is broken")
     return 1 if found else 0
 
 

@@ -214,11 +214,23 @@ def test_a_seed_fixes_all_starts_from_then_on(make):
         ({"position": [1.0, 2.0, 3.0], "speed": 1.0}, "options: .'position', 'speed'"),
         ({"position": [1.0, 2.0]}, "position: .*: must be three numbers"),
         ({"position": [1.0, np.nan, 3.0]}, "position: .*: must be three numbers"),
+        ({"position": "here"}, "position: here: must be three numbers"),
+        ({"position": [-500.0, 20.0, 30.0]}, "position: .*: is out of bounds"),
+        ({"position": [200.0, 20.0, 30.0]}, "position: .*: is in or too near to a box"),
+        ({"position": [20.0, 20.0, 30.0], "velocity": [500.0, 0.0, 0.0]}, "beyond v_max, 50 m/s"),
     ],
 )
 def test_a_start_that_is_none_is_refused(make, options, message):
     with pytest.raises(ValueError, match=message):
         make().reset(options=options)
+
+
+@pytest.mark.parametrize("shape", [(1, 3), (6,), (3, 1), ()])
+def test_an_action_of_another_shape_is_refused(make, shape):
+    env = make().unwrapped
+    env.reset()
+    with pytest.raises(ValueError, match=r"action: shape .*: must be \(1, 3\)"):
+        env.step(np.zeros(shape))
 
 
 # Pictures

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
@@ -57,6 +58,32 @@ def test_a_seed_reaches_the_starts(make_vec):
         runs.append(venv.reset())
     np.testing.assert_array_equal(runs[0], runs[1])
     assert (runs[0] != runs[2]).any()
+
+
+def test_options_reach_the_starts_once(make_vec):
+    env = FlightVecEnv(make_vec(2))
+    usual = env.reset()
+    env.set_options([{"position": [20.0, 30.0, 30.0]}, {"position": [30.0, 30.0, 30.0]}])
+    given = env.reset()
+    truth = env.env.flights.simulations.episodes.truth
+    np.testing.assert_array_equal(truth, [[20, 30, 30], [30, 30, 30]])
+    assert (given != usual).any(axis=1).all()
+    np.testing.assert_array_equal(env.reset(), usual)
+    env.set_options([{"position": [20.0, 30.0, 30.0]}, {}])
+    with pytest.raises(ValueError, match=r"options: \['position'\]: must be given to all"):
+        env.reset()
+
+
+def test_a_method_answers_for_each_flight_asked_for(make_vec):
+    env = FlightVecEnv(make_vec(3, start="spread"))
+    env.reset()
+    whole = env.env.law()
+    np.testing.assert_array_equal(env.env_method("law", indices=[2, 0]), whole[[2, 0]])
+
+
+def test_a_wrapped_environment_is_refused(make_vec):
+    with pytest.raises(TypeError, match="VecMonitor"):
+        FlightVecEnv(RecordEpisodeStatistics(make_vec(2)))
 
 
 def test_it_must_reset_in_the_same_step(make_vec):

@@ -169,6 +169,23 @@ def test_a_mask_that_is_none_is_refused(make_vec, mask):
         make_vec(COUNT).reset(options={"reset_mask": np.array(mask)})
 
 
+@pytest.mark.parametrize("shape", [(3, 8), (1, 3), (16, 3), (24,)])
+def test_actions_of_another_shape_are_refused(make_vec, shape):
+    env = make_vec(8)
+    env.reset()
+    with pytest.raises(ValueError, match=r"action: shape .*: must be \(8, 3\)"):
+        env.unwrapped.step(np.zeros(shape))
+
+
+def test_a_mode_has_its_name_or_its_value(make_vec):
+    for mode in ("NEXT_STEP", "NextStep", AutoresetMode.NEXT_STEP):
+        assert make_vec(1, autoreset_mode=mode).unwrapped.autoreset_mode is AutoresetMode.NEXT_STEP
+            make_vec(1, autoreset_mode=mode).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+        )
+    with pytest.raises(ValueError, match=r"autoreset_mode: never: must be one of NEXT_STEP, "):
+        make_vec(1, autoreset_mode="never")
+
+
 def test_there_must_be_flights(make_vec):
     with pytest.raises(ValueError, match="num_envs: 0: must be at least 1"):
         make_vec(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 
@@ -57,6 +58,7 @@ def test_stops_have_the_times_of_the_flight(mission, tmp_path):
         np.testing.assert_allclose(truth.x[row], scene.point(stop["node"]), atol=1e-6)
         assert not truth.v[row].any()
     assert flight["shield"] == [[1.0, 1.4]]
+    assert flight["duration"] == flight["stops"][-1]["t"]  # exactly: it has come home then
 
 
 def test_boxes_come_back_from_the_page(mission, tmp_path):
@@ -187,3 +189,26 @@ def test_what_is_no_run_is_refused_with_what_is_missing(mission, tmp_path, capsy
     assert "trajectory.csv" in capsys.readouterr().err
     with pytest.raises(UnreadableRun, match="FileNotFoundError"):
         load_run(folder)
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        '"violations": null', '"violations": {"t": 1}', '"violations": [{"t": 1.0}]',
+        '"lower_bound": NaN', '"lower_bound": Infinity',
+    ],
+)  # fmt: skip
+def test_a_damaged_result_is_refused(mission, tmp_path, capsys, field):
+    folder = tmp_path / "run"
+    shutil.copytree(mission, folder)
+    text = (folder / "mission.json").read_text().rstrip().removesuffix("}")
+    (folder / "mission.json").write_text(text + f", {field}}}")
+    assert main([str(folder), "--overwrite"]) == 2
+    assert "not a readable run" in capsys.readouterr().err
+
+
+def test_a_folder_whose_name_is_no_text_has_a_replay(mission, tmp_path):
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    shutil.copytree(mission, folder)
+    assert main([str(folder), "--overwrite"]) == 0
+    assert "caf\ufffd" in (folder / "replay.html").read_text(encoding="utf-8")

@@ -10,7 +10,7 @@ import torch
 
 from mjcollect.scene.scene import Scene
 from train.support.command_line import stop_on_ctrl_c
-from train.support.run_folder import RunError, RunFolder
+from train.support.run_folder import PLANS, RunError, RunFolder
 
 CONFIG = {"program": "test", "seed": 1}
 
@@ -46,6 +46,11 @@ def test_resume_with_other_settings_names_the_difference(folder):
     folder.check(CONFIG, resume=True, overwrite=False)
     with pytest.raises(RunError, match="seed: 2 differs from 1"):
         folder.check(CONFIG | {"seed": 2}, resume=True, overwrite=False)
+    folder.write_json("config.json", CONFIG | {"learn": {"gamma": 0.9, "updates": 6000}})
+    with pytest.raises(RunError, match="--resume: updates: 7000 differs from 6000 in"):
+        folder.check(
+            CONFIG | {"learn": {"gamma": 0.9, "updates": 7000}}, resume=True, overwrite=False
+        )
 
 
 def test_resume_of_a_strange_folder_is_refused(tmp_path):
@@ -86,6 +91,39 @@ def test_overwrite_removes_only_a_run(folder, scene):
     folder.create(CONFIG, scene, overwrite=True)
     names = {path.name for path in folder.path.iterdir()}
     assert names == {"letter.txt", "config.json", "command.txt", "scene.json"}
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "segments/0/policy.pt", "."])
+def test_overwrite_never_removes_what_the_program_reads(folder, name):
+    path = folder.path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if name != ".":
+        path.write_text("learned")
+    folder.unlock()
+    with pytest.raises(RunError, match=r"--overwrite: .* is in --out .*; copy it elsewhere"):
+        folder.check(CONFIG, overwrite=True, inputs=[None, path])
+    elsewhere = [folder.path.parent / "policy.pt", folder.path / "shipped"]  # a name, not there
+    folder.check(CONFIG, overwrite=True, inputs=elsewhere)
+    folder.check(CONFIG, resume=True, overwrite=False, inputs=[path])
+
+
+def test_overwrite_removes_links_but_not_what_they_lead_to(folder, scene, tmp_path):
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "policy.pt").write_text("learned")
+    (folder.path / "segments").symlink_to(tmp_path / "kept")
+    folder.unlock()
+    folder.create(CONFIG, scene, overwrite=True)
+    assert not (folder.path / "segments").exists()
+    assert (tmp_path / "kept" / "policy.pt").read_text() == "learned"
+
+
+def test_overwrite_removes_plans_for_ground_stations(folder, scene):
+    """An older plan beside a new flight would be flown by mistake."""
+    for kind in PLANS:
+        (folder.path / f"mission.{kind}").write_text("old")
+    folder.unlock()
+    folder.create(CONFIG, scene, overwrite=True)
+    assert not [path for path in folder.path.iterdir() if path.name.startswith("mission.")]
 
 
 def test_a_folder_in_use_is_refused(folder, scene):

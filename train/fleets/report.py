@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -222,13 +221,12 @@ def ratio(result: dict[str, Any]) -> str:
 
 def fleet_outcome(result: dict[str, Any], folder: Path) -> str:
     """Says the result in one line, for the user."""
-    where = os.path.relpath(folder)
     if not result["success"]:
         lost = [m for m in result["missions"] if m["ended"] != "home"]
         why = f"UAV {lost[0]['uav']}: {lost[0]['ended']}" if lost else "refused by the verifier"
-        return f"no success ({why}): {where}"
+        return f"no success ({why}): {folder}"
     items = sum(len(mission["items"]) for mission in result["missions"])
     return (
         f"success: {items} items by {len(result['missions'])} UAVs in {result['makespan']:.1f} s, "
-        f"{ratio(result)} of the lower bound: {where}"
+        f"{ratio(result)} of the lower bound: {folder}"
     )

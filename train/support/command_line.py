@@ -65,6 +65,9 @@ def run_program(
     except ValueError as error:  # from a settings class: field, value and fix
         say(f"error: {error}")
         return BAD_INPUT
+    except BrokenPipeError:  # whoever reads --help has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     try:
         return program(args)
     except (SceneError, TourError, GuidanceError, RunError) as error:

@@ -31,6 +31,10 @@ def finished_run(
         segments, seed = len(result["segments"]), int(result["seed"])
         method = str(result["order_method"])
         order = plan_order(scene, ",".join(str(int(item)) for item in result["order"]))
+    if not run.segment(0).path.is_dir():
+        raise RunError(
+            f"--run: {folder}: holds no trained policies; name the folder of a train.mission run"
+        )
     others = [run.segment(k).path / "scene.json" for k in range(segments)]
     given = [("--scene", Scene.find(scene_name))] if scene_name is not None else []
     for name, other in given + [(str(path), Scene.load(path)) for path in others]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from mjcollect.scene.trajectory import SHIELD_FILE, save_shield, shield_interval
 from mjcollect.verify import DISTURBED_REST, verify
 from train.support.command_line import say
 from train.support.markdown import markdown_table
-from train.support.run_folder import RunFolder, versions
+from train.support.run_folder import PLANS, RunFolder, versions
 
 TRAINED = ("success_rate", "train_seconds", "env_steps", "updates")
 COLUMNS = (
@@ -118,7 +117,7 @@ def write_mission(
             folder.write("learning.png", lambda part: plot_learning(part, rows))
     if scene.origin is not None and air is None and result["success"]:
         mission = FlownMission.of(scene, flight.trajectory, result)
-        for kind in ("plan", "kml", "geojson"):
+        for kind in PLANS:
             folder.write_text(f"mission.{kind}", FORMATS[kind](mission))
     folder.write_json("mission.json", result)
 
@@ -300,7 +299,6 @@ def describe(violation: dict[str, Any]) -> str:
 
 def outcome(result: dict[str, Any], folder: Path) -> str:
     """Says the result in one line, for the user."""
-    where = os.path.relpath(folder)
     if "flights" in result:
         time = measured(result["mean_time"], ".1f")
         others = {end: count for end, count in result["ended"].items() if count and end != "home"}
@@ -308,13 +306,13 @@ def outcome(result: dict[str, Any], folder: Path) -> str:
         return (
             f"{result['ended']['home']} of {result['flights']} flights came home: "
             f"{measured(result['success_rate'], '.1%')}, in {time} s; contact "
-            f"{measured(result['contact_rate'], '.1%')}{ended}: {where}"
+            f"{measured(result['contact_rate'], '.1%')}{ended}: {folder}"
         )
     if not result["success"]:
-        return f"no success ({cause(result)}): {where}"
+        return f"no success ({cause(result)}): {folder}"
     ratio = "" if result["ratio"] is None else f", {result['ratio']:.3f} of the lower bound"
     time = f"{result['mission_time']:.1f} s"
-    return f"success: {len(result['order'])} items in {time}{ratio}: {where}"
+    return f"success: {len(result['order'])} items in {time}{ratio}: {folder}"
 
 
 def cause(result: dict[str, Any]) -> str:

@@ -32,6 +32,7 @@ VERSIONED = (
     "numpy",
     "elkai",
 )
+PLANS = ("plan", "kml", "geojson")  # A mission at a real place is also written in these formats.
 # A run writes all of these; --overwrite removes them and nothing else.
 RUN_FILES = (
     "config.json", "command.txt", "scene.json", "segment.json", "mission.json", "trajectory.csv",
@@ -39,7 +40,7 @@ RUN_FILES = (
     "speed.png", "metrics.csv", "policy.pt", "checkpoint", "checkpoint.old", "segments", "attempts",
     "guidance", "report.md", "pool", "pool.json", "generalist.json", "policy.safetensors",
     "tracks.png", "air.json", "fleet.json", "fleet.mp4", "schedule.png", "uavs", "replay.html",
-    "logs", "mission.plan", "mission.kml", "mission.geojson",
+    "logs", *(f"mission.{kind}" for kind in PLANS),
 )  # fmt: skip
 BEGINNING = ("scene.json", "command.txt", ".part-")  # A folder holds these before config.json.
 MEND = "put the file back as it was written, or start anew with --overwrite"
@@ -130,12 +131,12 @@ class RunFolder:
             raise RunError(
                 f"--resume: {self.path}: holds no config.json of a run; name the run's folder"
             )
-        for key in sorted(saved.keys() | config.keys()):
-            if saved.get(key) != config.get(key):
-                raise RunError(
-                    f"--resume: {key}: {config.get(key)!r} differs from {saved.get(key)!r} in "
-                    f"{self.path / 'config.json'}; give the same value, or another --out"
-                )
+        if (found := _difference(saved, config)) is not None:
+            key, old, new = found
+            raise RunError(
+                f"--resume: {key}: {new!r} differs from {old!r} in {self.path / 'config.json'}; "
+                "give the same value, or another --out"
+            )
 
     def check_scene(self, scene: Scene, name: str) -> None:
         """Refuses to resume with another scene than the folder's; the user gave it as `name`.
@@ -299,6 +300,18 @@ def as_written(path: Path) -> Iterator[None]:
         yield
     except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise RunError(f"--run: {path}: is not as a run leaves it ({error!r}); {MEND}") from None
+
+
+def _difference(saved: dict[str, Any], config: dict[str, Any]) -> tuple[str, Any, Any] | None:
+    """Returns the first key in which settings differ, also within groups, and both values."""
+    for key in sorted(saved.keys() | config.keys()):
+        old, new = saved.get(key), config.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            if (found := _difference(old, new)) is not None:
+                return found
+        elif old != new:
+            return key, old, new
+    return None
 
 
 def _holder(descriptor: int) -> str:

@@ -32,7 +32,10 @@ class Panel {
     setText(find("scene-name"), runs.length === 1 ? runs[0].name : scene.name);
     setText(find("subtitle"), runs.length === 1 ? this.subtitle(scene, runs[0]) : `${runs.length} runs compared`);
     const times = runs.filter((run) => run.success).map((run) => run.duration);
-    const best = runs.length > 1 && times.length > 0 ? Math.min(...times) : null;
+    // Only runs to the same places can be faster or slower than each other.
+    const places = new Set(runs.map((run) => JSON.stringify([run.kind, run.flights.flatMap((flight) =>
+      flight.stops.map((stop) => stop.node)).sort()])));
+    const best = runs.length > 1 && times.length > 0 && places.size === 1 ? Math.min(...times) : null;
     for (const run of runs) {
       const own = uavs.filter((uav) => uav.flight.run === run);
       const single = own.length === 1 && own[0].flight.name === null;
