@@ -346,6 +346,7 @@ def test_the_command_judges_a_run_folder(tmp_path, capsys):
     assert main([str(tmp_path)]) == 1
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("order: 2 at ")
-    assert said[-1] == f"{len(said) - 1} rules broken"
+    count = len(said) - 1
+    assert said[-1] == f"{count} rule{'s' if count > 1 else ''} broken"
     assert main([str(tmp_path / "nowhere")]) == 2
-    assert "nowhere: holds no finished run" in capsys.readouterr().err
+    assert "nowhere: cannot be judged" in capsys.readouterr().err

@@ -172,7 +172,8 @@ def test_each_flight_is_judged_as_a_mission_of_its_part(run, capsys):
     code, out, _ = judged(run, capsys)
     assert code == 1
     assert "return: " in out
-    assert f"{len(verify_fleet(run))} rules broken" in out
+    count = len(verify_fleet(run))
+    assert f"{count} rule{'s' if count > 1 else ''} broken" in out
 
 
 def test_who_comes_too_near_is_told(run, capsys):
@@ -198,7 +199,7 @@ def test_an_item_in_two_parts_is_refused(run, capsys):
         verify_fleet(run)
     code, out, err = judged(run, capsys)
     assert (code, out) == (2, "")
-    assert "holds no finished run" in err
+    assert "cannot be judged" in err
     assert "items: [1, 1, 2]" in err
 
 
@@ -266,7 +267,7 @@ def test_a_run_that_lacks_a_file_is_no_run(run, capsys, name):
     (run / name).unlink()
     code, out, err = judged(run, capsys)
     assert (code, out) == (2, "")
-    assert err.startswith(f"error: {run}: holds no finished run")
+    assert err.startswith(f"error: {run}: cannot be judged")
 
 
 def test_a_run_without_missions_is_no_run(run, capsys):

@@ -45,7 +45,8 @@ class Args(TrainingArgs):
     """Learns to fly one segment of a tour with DDPG, flies it, verifies the flight and films it."""
 
     segment: int | None = None
-    """Selects the segment, 0 (leaves the depot) to K (returns); by default the first blocked."""
+    """Selects the segment, 0 (leaves the depot) to K (returns); by default the first
+    blocked one, or 0 if none is."""
     guidance_cache: Path | None = None
     """Names the folder in which a mission saved its guidance, which else takes seconds to build."""
 

@@ -180,8 +180,6 @@ def test_actions_of_another_shape_are_refused(make_vec, shape):
 def test_a_mode_has_its_name_or_its_value(make_vec):
     for mode in ("NEXT_STEP", "NextStep", AutoresetMode.NEXT_STEP):
         assert make_vec(1, autoreset_mode=mode).unwrapped.autoreset_mode is AutoresetMode.NEXT_STEP
-            make_vec(1, autoreset_mode=mode).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-        )
     with pytest.raises(ValueError, match=r"autoreset_mode: never: must be one of NEXT_STEP, "):
         make_vec(1, autoreset_mode="never")
 

@@ -17,7 +17,8 @@ from mjcollect.render import overlay
 from mjcollect.render.fleet import UAV_COLOURS, FleetProgress, load_fleet
 from mjcollect.render.fleet_figures import plot_fleet_path_3d, plot_fleet_path_top, plot_schedule
 from mjcollect.render.overlay import node_look
-from mjcollect.render.video import RenderError, render_run
+from mjcollect.render.runs import UnreadableRun
+from mjcollect.render.video import render_run
 from mjcollect.scene.moving import MovingBox
 from mjcollect.scene.order import DEPOT
 
@@ -67,7 +68,7 @@ def test_folders_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     (folder / "fleet.json").write_text(json.dumps(document))
     with pytest.raises(ValueError, match=r"must lie in 0\.\.4"):
         load_fleet(folder)
-    with pytest.raises(RenderError, match="not a readable run"):
+    with pytest.raises(UnreadableRun, match="not a readable run"):
         render_run(folder)
     document["missions"] = []
     (folder / "fleet.json").write_text(json.dumps(document))

@@ -21,8 +21,9 @@ from mjcollect.render.arrivals import progress
 from mjcollect.render.camera import View, chase_eyes, clear_distance, framing
 from mjcollect.render.fleet import FleetProgress
 from mjcollect.render.labels import name_all
+from mjcollect.render.runs import UnreadableRun
 from mjcollect.render.settings import VideoSettings
-from mjcollect.render.video import RenderError, render_in_child, render_run
+from mjcollect.render.video import render_in_child, render_run
 from mjcollect.scene.assets import asset_path
 from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
@@ -285,7 +286,7 @@ def test_command_line_says_in_one_line_what_is_missing(tmp_path: Path) -> None:
         [sys.executable, "-m", "mjcollect.render", "--run", str(tmp_path)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert ran.returncode == 1
+    assert ran.returncode == 2
     assert ran.stdout == ""
     assert len(ran.stderr.strip().splitlines()) == 1
     assert "neither segment.json nor mission.json" in ran.stderr
@@ -295,7 +296,7 @@ def test_command_line_says_in_one_line_what_is_missing(tmp_path: Path) -> None:
 def test_an_unreadable_run_is_refused(tmp_path: Path, broken: str) -> None:
     folder = write_run(tmp_path)
     (folder / broken).write_text("{}")
-    with pytest.raises(RenderError, match="not a readable run"):
+    with pytest.raises(UnreadableRun, match="not a readable run"):
         render_run(folder)
 
 
