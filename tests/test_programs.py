@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import os
 import pkgutil
 import runpy
+import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -79,6 +83,36 @@ def test_the_console_command_refuses_what_it_does_not_know(capsys):
     output = capsys.readouterr()
     assert "'swim'" in output.err
     assert output.out == ""
+
+
+def test_the_console_command_says_its_version(capsys):
+    assert console(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == importlib.metadata.version("mjcollect")
+
+
+def test_ctrl_c_while_a_program_loads_is_one_line(monkeypatch, capsys):
+    def stopped(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("train.__main__.importlib.import_module", stopped)
+    assert console(["fly"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    ran = subprocess.run(
+        [sys.executable, "-c", "import train; raise KeyboardInterrupt"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == -signal.SIGINT
+    assert ran.stderr == "interrupted\n"
+
+
+def test_a_backend_that_mujoco_does_not_know_is_refused_at_once():
+    ran = subprocess.run(
+        [sys.executable, "-m", "train.fly", "--scene", "scenario_1"],
+        env={**os.environ, "MUJOCO_GL": "nonsense"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 2
+    assert ran.stderr.startswith("error: MUJOCO_GL: nonsense: must be egl, osmesa, glfw or disable")
+    assert ran.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", ["mjcollect", "train", *modules()])

@@ -3,6 +3,7 @@
 import os
 import sys
 import warnings
+from types import TracebackType
 
 # One thread per process for the linear algebra: parallelism comes from MuJoCo's threads and from
 # processes. Must be set before NumPy and torch are imported.
@@ -23,3 +24,14 @@ if os.environ.get("MUJOCO_GL", "").lower().strip() not in BACKENDS:
         file=sys.stderr,
     )
     raise SystemExit(2)
+
+
+def _say(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Prints no traceback for Ctrl-C while a program is still loading; it ends by that signal."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = _say

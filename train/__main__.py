@@ -38,11 +38,15 @@ def main(argv: list[str] | None = None) -> int:
         print(said if asked else wrong, file=sys.stdout if asked else sys.stderr)
         return 0 if asked else 2
     try:
-        module = importlib.import_module(PROGRAMS[given[0]])
-    except ImportError as error:  # an extra is not installed
-        print(f"error: {given[0]}: {error}", file=sys.stderr)
-        return 2
-    return int(module.main(given[1:]))
+        try:
+            module = importlib.import_module(PROGRAMS[given[0]])
+        except ImportError as error:  # an extra is not installed
+            print(f"error: {given[0]}: {error}", file=sys.stderr)
+            return 2
+        return int(module.main(given[1:]))
+    except KeyboardInterrupt:  # while it is still loading
+        print("interrupted", file=sys.stderr)
+        return 130
 
 
 if __name__ == "__main__":
