@@ -269,7 +269,11 @@ def test_the_difference_of_scenes_names_each_field():
             other = Scene(**_arguments(document | {field: value * 1 + 1}, field))
             assert scene.difference(other).startswith(field)
             assert scene.difference(other, document.keys() - {field}) is None
-    for key, value in (("clearance", 0.5), ("separation", 3.0), ("more_depots", [[500.0, 0, 0]])):
+    for key, value in (
+        ("clearance", 0.5),
+        ("separation", 3.0),
+        ("more_depots", [[500.0, 0.0, 0.0]]),
+    ):
         more = dataclasses.replace(scene, **{key: value})
         assert scene.difference(more).startswith(f"{key} is {value}, not left out")
         assert more.difference(scene) == f"{key} is left out, not {value}"
