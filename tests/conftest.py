@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -96,3 +99,18 @@ def pupil_file(
     path = tmp_path_factory.mktemp("pupil") / "pupil.safetensors"
     pupil(courses, request.param).save(path)
     return path
+
+
+@pytest.fixture(scope="session")
+def egl() -> dict[str, str]:
+    """The environment of a process that renders by EGL; without that, tests are skipped."""
+    environment = {**os.environ, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl"}
+    probe = (
+        "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 9, 9).close()"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", probe], env=environment, capture_output=True, check=False
+    )
+    if ran.returncode:
+        pytest.skip("no EGL here: apt-get install libegl1 libgl1-mesa-dri")
+    return environment

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import warnings
@@ -276,14 +275,10 @@ among.close()
 """
 
 
-def test_pictures_show_the_flight_where_there_is_gl(scene_file, tmp_path):
-    environment = {**os.environ, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl"}
-    probe = "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 9, 9)"
-    run = [sys.executable, "-c"]
-    if subprocess.run([*run, probe], env=environment, capture_output=True, check=False).returncode:
-        pytest.skip("no EGL here: apt-get install libegl1 libgl1-mesa-dri")
+def test_pictures_show_the_flight_where_there_is_gl(scene_file, tmp_path, egl):
     found = tmp_path / "shown.npz"
-    subprocess.run([*run, PICTURES, str(scene_file), str(found)], env=environment, check=True)
+    command = [sys.executable, "-c", PICTURES, str(scene_file), str(found)]
+    subprocess.run(command, env=egl, check=True)
     with np.load(found) as file:
         shown, many, among = file["shown"], file["many"], file["among"].astype(int)
         assert file["fps"] == 5

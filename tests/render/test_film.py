@@ -17,9 +17,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numbered_film import NumberedFilm
+from PIL import Image
 
 from mjcollect.render.camera import View, framing
 from mjcollect.render.film.inset import Inset, inset_size
+from mjcollect.render.film.overview import Overview
 from mjcollect.render.film.parallel import PLACES, WorkerError, choose_processes, render_frames
 from mjcollect.render.film.track import ALIKE, NEAR, SPACING, Track
 from mjcollect.render.fleet import FleetProgress
@@ -119,6 +121,26 @@ def test_a_path_begins_at_its_first_point_however_long_the_rest_there(fleet: Fle
         assert np.all(np.diff(track.point(t)) >= 0)
 
 
+def test_what_a_node_lies_in_holds_all_that_is_drawn_of_it(
+    fleet: FleetProgress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numbers of three digits stand out of their discs."""
+    monkeypatch.setattr("mjcollect.render.film.overview._label", lambda node: str(100 + node))
+    view = framing(fleet.scene.bounds, np.array([1.0, 0.8, -0.7]), 30.0, (640, 360))
+    trails = [(flown.trajectory.x, np.zeros((len(flown.trajectory), 3))) for flown in fleet.flights]
+    overview, reached = Overview(fleet, view, trails), [0] * len(fleet.flights)
+    for radius in (2.0, 9.0):
+        for node, place in overview.node_places(reached, radius).items():
+            for ground in ("black", "white"):
+                image = Image.new("RGB", view.size, ground)
+                blank = np.asarray(image).copy()
+                overview.nodes(image, reached, radius, {node})
+                v, u = np.nonzero((np.asarray(image) != blank).any(axis=2))
+                assert len(u) > 0
+                assert place[0] <= u.min() <= u.max() < place[2]
+                assert place[1] <= v.min() <= v.max() < place[3]
+
+
 # Processes
 
 
@@ -154,6 +176,7 @@ def test_who_wants_no_more_frames_ends_the_processes() -> None:
 ORPHANS = """
 import multiprocessing, time
 from numbered_film import NumberedFilm
+from PIL import Image
 from mjcollect.render.film.parallel import render_frames
 frames = render_frames(NumberedFilm(10**6), 2)
 next(frames)
@@ -204,32 +227,38 @@ for processes in (1, 2):
 """
 
 
-def test_a_video_is_the_same_from_any_number_of_processes(folder: Path) -> None:
-    environment = {**os.environ, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl"}
-    probe = (
-        "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 9, 9).close()"
-    )
-    if subprocess.run(
-        [sys.executable, "-c", probe], env=environment, capture_output=True, check=False
-    ).returncode:
-        pytest.skip("no EGL here: apt-get install libegl1 libgl1-mesa-dri")
-    subprocess.run([sys.executable, "-c", CLIP, str(folder)], env=environment, check=True)
+def test_a_video_is_the_same_from_any_number_of_processes(
+    folder: Path, egl: dict[str, str]
+) -> None:
+    subprocess.run([sys.executable, "-c", CLIP, str(folder)], env=egl, check=True)
     films = [(folder / f"{processes}.mp4").read_bytes() for processes in (1, 2)]
     assert len(films[0]) > 10_000
     assert films[0] == films[1]
     assert not list(folder.glob(".*"))
-    # Of two at once the second is told.
-    command = [sys.executable, "-m", "mjcollect.render", "--run", str(folder), "--processes", "2"]
+
+
+def command(folder: Path) -> list[str]:
+    return [sys.executable, "-m", "mjcollect.render", "--run", str(folder), "--processes", "2"]
+
+
+def test_of_two_programs_that_film_one_run_the_second_is_told(
+    folder: Path, egl: dict[str, str]
+) -> None:
     with (folder / ".part-fleet.mp4").open("wb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         ran = subprocess.run(
-            command, env=environment, text=True, capture_output=True, check=False
+            command(folder), env=egl, text=True, capture_output=True, check=False
         )  # fmt: skip
+    (folder / ".part-fleet.mp4").unlink()
     assert ran.returncode == 1
     assert "another process is filming it" in ran.stderr
-    # Ctrl-C, which all processes get, ends them in peace.
+
+
+def test_ctrl_c_which_all_processes_get_ends_them_in_peace(
+    folder: Path, egl: dict[str, str]
+) -> None:
     with subprocess.Popen(
-        command, env=environment, text=True, stderr=subprocess.PIPE, start_new_session=True
+        command(folder), env=egl, text=True, stderr=subprocess.PIPE, start_new_session=True
     ) as program:
         assert program.stderr is not None
         said = ""

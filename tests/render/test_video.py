@@ -29,9 +29,6 @@ from mjcollect.scene.scene import Scene
 from mjcollect.scene.trajectory import Trajectory
 
 EYE = np.array([10.0, -20.0, 30.0])
-GL_PROBE = (
-    "import mujoco; mujoco.Renderer(mujoco.MjModel.from_xml_string('<mujoco/>'), 16, 16).close()"
-)
 
 
 def scene_of(obstacles: list, items: list, **limits: float) -> Scene:
@@ -316,13 +313,7 @@ for _ in range(2):  # another film between them must not change the second
 """
 
 
-def test_a_clip_shows_quadrotor_and_path(tmp_path: Path) -> None:
-    environment = {**os.environ, "MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "egl"}
-    probe = subprocess.run(
-        [sys.executable, "-c", GL_PROBE], env=environment, capture_output=True, check=False
-    )
-    if probe.returncode:
-        pytest.skip("no EGL here: apt-get install libegl1 libgl1-mesa-dri")
+def test_a_clip_shows_quadrotor_and_path(tmp_path: Path, egl: dict[str, str]) -> None:
     box = [[60.0, 60.0, 0.0], [90.0, 90.0, 80.0]]
     scene = scene_of([box], [[60, 20, 30], [150, 150, 30]])
     flown = flight([scene.depot, scene.items[0]], slot=7, pause=5)
@@ -335,7 +326,7 @@ def test_a_clip_shows_quadrotor_and_path(tmp_path: Path) -> None:
         flew.save(tmp_path / name / "trajectory.csv")
         (tmp_path / name / f"{name}.json").write_text(json.dumps(found))
     folders = [str(tmp_path / name) for name in ("segment", "mission")]
-    subprocess.run([sys.executable, "-c", CLIP, *folders], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", CLIP, *folders], env=egl, check=True)
 
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     video = mediapy.read_video(tmp_path / "segment" / "0.mp4")

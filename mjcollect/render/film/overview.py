@@ -110,7 +110,7 @@ class Overview:
         places = {}
         for node, place in self._nodes:
             grow = radius * node_look(self._fleet, node, reached).grow
-            left, top, right, bottom = font(radius * 1.25, True).getbbox(_label(node), "mm")
+            left, top, right, bottom = font(radius * 1.25, True).getbbox(_label(node), anchor="mm")
             text = place + np.array([[left, top], [right, bottom]])
             disc = np.stack([place - grow, place + grow])
             places[node] = _around(np.concatenate([text, disc]), 2)
