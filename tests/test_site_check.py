@@ -46,3 +46,11 @@ def test_a_link_is_followed_to_its_file_and_anchor(
 
 def test_a_site_without_pages_is_a_fault(tmp_path: Path) -> None:
     assert "holds no page" in FAULTS(tmp_path / "nowhere")[0]
+
+
+def test_a_style_sheet_loads_nothing_from_the_network(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("x")
+    (tmp_path / "x.css").write_text(
+        '@import "https://example.org/y.css"; p { background: url(y.png) url(data:image/png,x) }'
+    )
+    assert FAULTS(tmp_path) == ["x.css: https://example.org/y.css: is loaded from the network"]

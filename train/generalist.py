@@ -264,9 +264,7 @@ def train_generalist(args: Args) -> int:
         del config[field]
     config["policy"] = None if args.policy == NO_POLICY else policy_digest(args.policy)
     folder = RunFolder(args.out or default_folder("generalist", f"seed{args.seed}"))
-    folder.check(
-        config, resume=args.resume, overwrite=args.overwrite, inputs=[weights_file(args.policy)]
-    )
+    folder.check(config, resume=args.resume, overwrite=args.overwrite, inputs=[args.policy])
     if args.resume and folder.read_json("generalist.json") is not None:
         return report(folder)
     if args.ray is not None:

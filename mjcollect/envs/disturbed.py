@@ -267,9 +267,7 @@ def fly_batch(
 
     Without any disturbance or moving box the flights are calm, and judged as such.
     """
-    air = None
-    if is_disturbed(disturbance) or course.scene.moving:
-        air = CourseAir(course, disturbance, flights, np.random.default_rng(seed))
+    air = course_air(course, disturbance, flights, np.random.default_rng(seed))
     sims = Simulations([course], flights, rules=rules, disturbances=air)
     segments = len(course.guidance)
     shown = tqdm(
@@ -292,6 +290,18 @@ def fly_batch(
     finally:
         shown.close()
         sims.close()
+
+
+def course_air(
+    course: Course, level: Disturbance, count: int, rng: np.random.Generator
+) -> CourseAir | None:
+    """Returns what disturbs `count` flights of a course; None if nothing does, and no box moves.
+
+    Raises:
+        ValueError: as `CourseAir` says.
+    """
+    calm = not is_disturbed(level) and not course.scene.moving
+    return None if calm else CourseAir(course, level, count, rng)
 
 
 def is_disturbed(level: Disturbance) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 
 from mjcollect.envs.batch import Simulations
 from mjcollect.envs.course import Course, StartKind, check_start
-from mjcollect.envs.disturbed import CourseAir, is_disturbed
+from mjcollect.envs.disturbed import course_air
 from mjcollect.envs.dm_env import DEFAULT_SCENE, course_of
 from mjcollect.envs.episode import GAMMA, Outcome, Rules
 from mjcollect.flight.disturbance import Disturbance
@@ -91,7 +91,9 @@ class Flights:
         rules = Rules(observation, reward, gamma, shield)
         if course is None:
             course = course_of(task, scene, order=order, seed=order_seed, **task_kwargs)
-        self.course, self._air = course, _air(course, count, disturbance)
+        self.course = course
+        rng = np.random.default_rng(0)  # `begin` gives another
+        self._air = course_air(course, _level(disturbance), count, rng)
         self.simulations = Simulations(
             [course], count, rules=rules, start=start, threads=threads, disturbances=self._air
         )
@@ -204,12 +206,10 @@ class Flights:
         """
         assert self._pictures is not None
         reached: list[int] = (self.simulations.episodes.target + self._success).tolist()
-        moving: list[Array] = [np.zeros((0, 2, 3))] * len(reached)
+        moving: list[list[Array]] = [[] for _ in reached]
         if self._air is not None:
             movers = self._air.movers
-            moving = [
-                boxes[there] for boxes, there in zip(movers.boxes, movers.speed > 0.0, strict=True)
-            ]
+            moving = [list(movers.boxes[k, movers.speed[k] > 0.0]) for k in range(len(reached))]
         return [self._pictures.take(k, count, moving[k]) for k, count in enumerate(reached)]
 
     def close(self) -> None:
@@ -219,23 +219,16 @@ class Flights:
             self._pictures.close()
 
 
-def _air(
-    course: Course, count: int, given: Disturbance | Mapping[str, Any] | None
-) -> CourseAir | None:
-    """Returns what disturbs the flights, if anything does."""
-    level = Disturbance()
-    if isinstance(given, Mapping):
-        names = [field.name for field in fields(Disturbance)]
-        if unknown := sorted(set(given) - set(names)):
-            raise ValueError(
-                f"disturbance: {', '.join(unknown)}: unknown; choose from {', '.join(names)}"
-            )
-        level = replace(level, **given)
-    elif given is not None:
-        level = given
-    if not is_disturbed(level) and not course.scene.moving:
-        return None
-    return CourseAir(course, level, count, np.random.default_rng(0))
+def _level(given: Disturbance | Mapping[str, Any] | None) -> Disturbance:
+    """Returns a disturbance that may be given by its fields."""
+    if not isinstance(given, Mapping):
+        return given or Disturbance()
+    names = [field.name for field in fields(Disturbance)]
+    if unknown := sorted(set(given) - set(names)):
+        raise ValueError(
+            f"disturbance: {', '.join(unknown)}: unknown; choose from {', '.join(names)}"
+        )
+    return Disturbance(**given)
 
 
 def _pictures(course: Course, count: int, size: tuple[int, int]) -> Pictures:

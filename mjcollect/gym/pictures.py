@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -53,10 +54,10 @@ class Pictures:
         for flown, *moment in zip(self._flown, x.copy(), v.copy(), strict=True):
             flown.append(Moment(*moment))
 
-    def take(self, index: int, reached: int, moving: Array) -> Picture:
+    def take(self, index: int, reached: int, moving: Sequence[Array]) -> Picture:
         """Returns a picture (H, W, 3) uint8 of flight `index`, which reached so many targets.
 
-        The boxes `moving` (B, 2, 3) are where they are now.
+        The boxes `moving`, (2, 3) each, are where they are now.
 
         Raises:
             ResetNeeded: it has not begun, or the environment is closed.
@@ -77,7 +78,7 @@ class Pictures:
         a = (v[-1] - v[-2]) / scene.slot if len(v) > 1 else np.zeros(3)
         stage.place([Pose(x[-1], a, float(heading[-1]))], len(x))
         colours = speed_colours(np.linalg.norm(v[1:], axis=1), scene.v_max)
-        return stage.chase(views[-1], (reached,), [(x, colours)], goal, list(moving)).copy()
+        return stage.chase(views[-1], (reached,), [(x, colours)], goal, moving).copy()
 
     def _open(self) -> Stage:
         if self._stage is None:

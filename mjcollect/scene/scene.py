@@ -245,10 +245,9 @@ class Scene:
             own, its = first.get(key), second.get(key)
             if own == its or (keys is not None and key not in keys):
                 continue
-            if own is None or its is None:
-                return f"{key} is {'left out' if its is None else its}, not {own or 'left out'}"
-            if not isinstance(own, list):
-                return f"{key} is {its}, not {own}"
+            if not isinstance(own, list) or not isinstance(its, list):
+                told = ["left out" if value is None else value for value in (its, own)]
+                return f"{key} is {told[0]}, not {told[1]}"
             if len(own) != len(its):
                 return f"{key} has {len(its)} entries, not {len(own)}"
             index = next(i for i in range(len(own)) if own[i] != its[i])

@@ -15,7 +15,7 @@ from urllib.parse import unquote, urlsplit
 
 LOADED = ("src", "poster", "data")  # Attributes whose address a browser loads, of any tag.
 LINKED = {"canonical", "alternate", "next", "prev", "author", "license"}  # `rel` that loads nothing
-URL = re.compile(r"""(?:url\(|@import)\s*["']?([^"')\s;]+)""")  # in style sheets
+URL = re.compile(r"""(?:url\(|@import)\s*["']?([^"')\s;]+)""")  # in styles
 
 
 class Page(HTMLParser):
@@ -70,6 +70,10 @@ def faults(site: Path) -> list[str]:
                 found.append(f"{name}: {link}: leads to no file")
             elif target in pages and unquote(address.fragment) not in pages[target].anchors:
                 found.append(f"{name}: {link}: leads to no anchor")
+    for sheet in sorted(site.rglob("*.css")):
+        for address in URL.findall(sheet.read_text(encoding="utf-8")):
+            if urlsplit(address).netloc:
+                found.append(f"{sheet.relative_to(site)}: {address}: is loaded from the network")
     return found
 
 

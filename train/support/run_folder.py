@@ -105,8 +105,9 @@ class RunFolder:
         if os.path.exists(self.path) and not os.path.isdir(self.path):
             raise RunError(f"--out: {self.path}: is a file; name a folder")
         check_writable(self.path, "--out")
-        for path in inputs if overwrite else ():
-            if path is not None and path.exists() and _holds(self.path, path):
+        for path in filter(None, inputs if overwrite else ()):
+            # The name of one of the package's own policies is no file.
+            if path.exists() and path.resolve().is_relative_to(self.path.resolve()):
                 raise RunError(
                     f"--overwrite: {path} is in --out {self.path}, whose files would be removed; "
                     "copy it elsewhere, or name another --out"
@@ -324,11 +325,6 @@ def _holder(descriptor: int) -> str:
             if words[1:2] == ["FLOCK"] and words[5] == device:
                 return f"another process ({words[4]})"
     return "another process"
-
-
-def _holds(folder: Path, path: Path) -> bool:
-    """Returns whether a path is a folder or lies in it, wherever links lead."""
-    return path.resolve().is_relative_to(folder.resolve())
 
 
 def remove(path: Path) -> None:

@@ -35,7 +35,7 @@ class Panel {
     // Only runs to the same places can be faster or slower than each other.
     const places = new Set(runs.map((run) => JSON.stringify([run.kind, run.flights.flatMap((flight) =>
       flight.stops.map((stop) => stop.node)).sort()])));
-    const best = runs.length > 1 && times.length > 0 && places.size === 1 ? Math.min(...times) : null;
+    const best = this.several && times.length > 0 && places.size === 1 ? Math.min(...times) : null;
     for (const run of runs) {
       const own = uavs.filter((uav) => uav.flight.run === run);
       const single = own.length === 1 && own[0].flight.name === null;
